@@ -174,7 +174,7 @@ def test_down_ends_agents_on_hosts(rig: Rig, robots: SshHosts):
     psutil.Process(pids["a"]).resume()  # it was told by a signal, too
     wait_until_gone(*pids.values())
     assert running.ended() == 0
-    assert "nothing" in rig.pancakes("down", "--fleet-file", str(path)).stderr
+    assert "no agent of" in rig.pancakes("down", "--fleet-file", str(path)).stderr
 
 
 def test_tunnel_to_an_agent_ends_with_its_program(rig: Rig, robots: SshHosts):

@@ -1,4 +1,4 @@
-"""What the tests of deployments have in common."""
+"""Fixtures for the tests of deployments."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def core(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Where libraries are kept that were fetched."""
+    """The folder of downloaded libraries."""
     return tmp_path_factory.mktemp("cache")
 
 
@@ -34,7 +34,7 @@ def rig(tmp_path: Path) -> Iterator[Rig]:
 
 @pytest.fixture
 def hosts(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> Iterator[SshHosts]:
-    """Real SSH servers, to which `add` adds one, and the ssh that reaches them."""
+    """Real SSH servers (`add` adds one), and the ssh that reaches them."""
     made = SshHosts()
     rig.environment["PANCAKES_SSH"] = made.ssh
     monkeypatch.setenv("PANCAKES_SSH", made.ssh)

@@ -12,7 +12,7 @@ DEPLOY_S = 280.0
 
 
 def deploy(rig: Rig, *arguments: str | Path) -> subprocess.CompletedProcess[str]:
-    """Runs the verb."""
+    """Run the verb."""
     command = [sys.executable, "-m", "pancakes.tools.cli.main", "deploy", *map(str, arguments)]
     done = subprocess.run(
         command, capture_output=True, text=True, timeout=DEPLOY_S, env=rig.environment, cwd=rig.directory

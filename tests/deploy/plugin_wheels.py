@@ -43,7 +43,7 @@ class Walk(Task):
 
 
 def clone_wheel(folder: Path) -> Path:
-    """Builds the wheel of this clone as it is."""
+    """Build the wheel of this clone as it is."""
     copy = folder / "source"
     for name in ("setup.cfg", "pyproject.toml", "README.md", "LICENSE"):
         copy.mkdir(exist_ok=True)
@@ -56,7 +56,7 @@ def clone_wheel(folder: Path) -> Path:
 
 
 def plugin_wheel(folder: Path, version: str, module: str = MODULE) -> Path:
-    """Writes the wheel of a plug-in that has the task `yard.Walk`, which `module` may define otherwise."""
+    """Write the wheel of a plug-in that has the task `yard.Walk`, which `module` may define otherwise."""
     folder.mkdir(exist_ok=True)
     path = folder / f"yard-{version}-py3-none-any.whl"
     information = f"yard-{version}.dist-info"

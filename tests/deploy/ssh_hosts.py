@@ -1,4 +1,4 @@
-"""Hosts for tests: real SSH servers on the loopback, each with a home, a port and a host key of its own."""
+"""Hosts for tests: real SSH servers on the loopback interface, each with its own home, port and host key."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ class SshHost:
 
     @property
     def config(self) -> str:
-        """What the user's configuration of `ssh` says of it."""
+        """Its entry in the user's configuration of `ssh`."""
         lines = {
             "HostName": "127.0.0.1",
             "Port": self.port,
@@ -90,7 +90,7 @@ class SshHost:
 
     @property
     def data(self) -> Path:
-        """Where Pancakes keeps what was brought."""
+        """The folder of deployed files."""
         return self.home / ".local" / "share" / "pancakes"
 
     def _start(self) -> subprocess.Popen[bytes]:
@@ -114,7 +114,7 @@ class SshHost:
         raise AssertionError((self.folder / "sshd.log").read_text())
 
     def close(self) -> None:
-        """Ends the server; sessions that are open go on until they end."""
+        """End the server; sessions that are open go on until they end."""
         if self.process.poll() is None:
             self.process.terminate()
             self.process.wait(PATIENCE_S)
@@ -135,7 +135,7 @@ class SshHosts:
         return f"ssh -F {self.folder / 'ssh_config'}"
 
     def add(self, name: str, path: str, variables: dict[str, str] | None = None, enter: int = 0) -> SshHost:
-        """Starts one more."""
+        """Start one more."""
         folder = self.folder / name
         folder.mkdir(exist_ok=True)
         self.hosts[name] = SshHost(name, folder, path, variables, enter)
@@ -143,23 +143,23 @@ class SshHosts:
         return self.hosts[name]
 
     def write_config(self) -> None:
-        """Writes the configuration of `ssh` anew."""
+        """Write the configuration of `ssh` anew."""
         (self.folder / "ssh_config").write_text("\n".join(host.config for host in self.hosts.values()))
 
     def close(self) -> None:
-        """Ends them all."""
+        """End them all."""
         for host in self.hosts.values():
             host.close()
         shutil.rmtree(self.folder, ignore_errors=True)
 
 
 def make_key(path: Path) -> None:
-    """Makes a key for a user or a host."""
+    """Make a key for a user or a host."""
     subprocess.run(["ssh-keygen", "-q", "-t", "ed25519", "-N", "", "-f", str(path)], check=True)
 
 
 def free_port() -> int:
-    """Returns a port at which no program listens."""
+    """Return a port at which no program listens."""
     with socket.socket() as found:
         found.bind(("127.0.0.1", 0))
         port: int = found.getsockname()[1]

@@ -26,17 +26,17 @@ PYENV = Path(os.environ.get("PYENV_ROOT") or Path.home() / ".pyenv") / "versions
 
 
 def other_python() -> str:
-    """Returns a Python of this machine of another minor version than this one; empty: there is none."""
+    """Return a Python of this machine of another minor version than this one; empty: there is none."""
     others = [minor for minor in (12, 13, 11) if minor != sys.version_info.minor]
     for minor in others:
         for place in (f"python3.{minor}", *map(str, sorted(PYENV.glob(f"3.{minor}.*/bin/python3.{minor}")))):
             asked = [place, "-c", "import sys, venv; print(sys.executable)"]
             try:
-                told = subprocess.run(asked, capture_output=True, text=True)
+                done = subprocess.run(asked, capture_output=True, text=True)
             except OSError:
                 continue
-            if told.returncode == 0:
-                return os.path.realpath(told.stdout.strip())
+            if done.returncode == 0:
+                return os.path.realpath(done.stdout.strip())
     return ""
 
 
@@ -63,7 +63,7 @@ def fleet(rig: Rig, cache: Path) -> Path:
 
 
 def disturbed(rig: Rig, trouble: str, *arguments: str | Path) -> tuple[int, str]:
-    """Runs the verb, and disturbs it once the first agent has its version; returns the exit code, and what it said."""
+    """Run the verb, and disturb it once the first agent has its version; return the exit code and the output."""
     command = [sys.executable, "-m", "pancakes.tools.cli.main", "deploy", *map(str, arguments)]
     process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=rig.environment, cwd=rig.directory)
     assert process.stderr is not None
@@ -83,7 +83,7 @@ def disturbed(rig: Rig, trouble: str, *arguments: str | Path) -> tuple[int, str]
 
 
 def files_of(host: SshHost) -> set[str]:
-    """What Pancakes has on a host, but for what each agent writes as it runs."""
+    """Return the files of Pancakes on a host, without those that a running agent writes."""
     data = host.data
     kept = [*data.glob("*/*"), *data.glob("agents/*/*/versions/*")]
     links = [
@@ -93,7 +93,7 @@ def files_of(host: SshHost) -> set[str]:
 
 
 def tasks(rig: Rig, fleet: Path) -> dict[str, str]:
-    """Which agent runs each task of a user, by asking the first agent."""
+    """Return which agent runs each user task, by asking the first agent."""
     port = (fleet.parent / "a.toml").read_text().split("127.0.0.1:")[1].split('"')[0]
     rows: Any = json.loads(
         rig.pancakes("task", "list", "--at", f"127.0.0.1:{port}", "--fleet", "yard", "--format", "json").stdout
@@ -108,7 +108,7 @@ def doctor(rig: Rig, fleet: Path) -> str:
 
 @pytest.fixture
 def robots(hosts: SshHosts) -> Iterator[SshHosts]:
-    """Three hosts: one with systemd, where that can be had, and one with another Python, where there is one."""
+    """Three hosts: one with systemd and one with another Python, if this machine has them."""
     hosts.add("robot1", BARE)
     home = hosts.folder / "robot2" / "home"
     home.mkdir(parents=True)
@@ -133,11 +133,11 @@ def robots(hosts: SshHosts) -> Iterator[SshHosts]:
 
 
 @pytest.mark.timeout(1200)
-def test_a_fleet_is_deployed_switched_and_taken_back(rig: Rig, robots: SshHosts, fleet: Path, core: Path):
+def test_fleet_is_deployed_switched_and_rolled_back(rig: Rig, robots: SshHosts, fleet: Path, core: Path):
     first, second = plugin_wheel(rig.directory / "1", "1.0"), plugin_wheel(rig.directory / "2", "2.0")
     ours = ("--wheels", core, "--calm", "1s")
     try:
-        # What would be done is shown, and nothing is done.
+        # A dry run shows the plan and changes nothing.
         shown = deploy(rig, fleet, *ours, "--wheels", first, "--dry-run", "--format", "json")
         assert shown.returncode == 0, shown.stderr
         rows = json.loads(shown.stdout)
@@ -158,11 +158,11 @@ def test_a_fleet_is_deployed_switched_and_taken_back(rig: Rig, robots: SshHosts,
         again = deploy(rig, fleet, *ours, "--wheels", first)
         assert again.returncode == 0 and "a has the version" in again.stderr and "runs the version" not in again.stderr
 
-        # One agent alone has another version, which is told; a task moves away from the next one, and comes back.
+        # One agent has another version, which is reported; a task migrates away from the next one, and comes back.
         assert deploy(rig, "part.toml", *ours, "--wheels", second).returncode == 0
-        told = doctor(rig, fleet)
-        assert "agents of a fleet run different versions: 0.1.0-" in told and (
-            " on a, c; " in told or " on b; " in told
+        text = doctor(rig, fleet)
+        assert "agents of a fleet run different versions: 0.1.0-" in text and (
+            " on a, c; " in text or " on b; " in text
         )
         done = deploy(rig, fleet, *ours, "--wheels", second)
         assert done.returncode == 0, done.stderr
@@ -193,13 +193,13 @@ def test_a_fleet_is_deployed_switched_and_taken_back(rig: Rig, robots: SshHosts,
         assert tasks(rig, fleet) == {"Walk": "a"}
 
         # A connection that is lost half-way, and a person who calls it off.
-        for trouble, told in (("connection", "the connection to robot2 is lost"), ("person", "is called off")):
+        for trouble, expected in (("connection", "the connection to robot2 is lost"), ("person", "is called off")):
             code, said = disturbed(rig, trouble, fleet, *ours, "--wheels", second, "--set", "device.load.rate_hz=2")
-            assert code == 1 and told in said and "a is back at the version" in said, said
+            assert code == 1 and expected in said and "a is back at the version" in said, said
             assert {name: files_of(host) for name, host in robots.hosts.items()} == before
         assert tasks(rig, fleet) == {"Walk": "a"}
 
-        # A configuration that is not sound with what is brought stops all before anything is touched.
+        # A configuration that is invalid with the new wheels stops the deployment before anything is touched.
         pids = running(robots)
         failed = deploy(rig, fleet, *ours, "--wheels", second, "--set", "c:task.Own.type=yard.Run")
         assert failed.returncode == 1 and "no host was changed" in failed.stderr and "yard.Run" in failed.stderr
@@ -209,7 +209,7 @@ def test_a_fleet_is_deployed_switched_and_taken_back(rig: Rig, robots: SshHosts,
     assert ended.returncode == 0, ended.stderr
     assert running(robots) == {}
 
-    # What was brought is what a launch runs there, too.
+    # A launch runs the deployed version, too.
     launched = rig.launch(fleet)
     left = set("abc")
     while left:
@@ -218,7 +218,7 @@ def test_a_fleet_is_deployed_switched_and_taken_back(rig: Rig, robots: SshHosts,
 
 
 def running(hosts: SshHosts) -> dict[str, int]:
-    """The processes of agents below the homes of hosts."""
+    """Return the processes of agents below the homes of hosts."""
     found = {}
     for process in psutil.process_iter():
         try:
@@ -232,9 +232,7 @@ def running(hosts: SshHosts) -> dict[str, int]:
 
 
 @pytest.mark.parametrize("trouble", ["away", "disk", "running"])
-def test_a_host_that_cannot_take_part_leaves_the_fleet_as_it_was(
-    rig: Rig, hosts: SshHosts, fleet: Path, core: Path, trouble: str
-):
+def test_unusable_host_leaves_the_fleet_unchanged(rig: Rig, hosts: SshHosts, fleet: Path, core: Path, trouble: str):
     for name in ("robot1", "robot2", "robot3"):
         hosts.add(name, BARE)
     three = hosts.hosts["robot3"]
@@ -269,7 +267,7 @@ def test_a_host_that_cannot_take_part_leaves_the_fleet_as_it_was(
             subprocess.run(["umount", str(three.data)], check=True)
 
 
-def test_two_deployments_do_not_meet_on_one_host(rig: Rig, hosts: SshHosts, fleet: Path, core: Path):
+def test_second_deployment_on_a_host_is_refused(rig: Rig, hosts: SshHosts, fleet: Path, core: Path):
     for name in ("robot1", "robot2", "robot3"):
         hosts.add(name, BARE)
     link = HostLink("robot2")
@@ -280,7 +278,7 @@ def test_two_deployments_do_not_meet_on_one_host(rig: Rig, hosts: SshHosts, flee
     assert "robot2 is busy with another deployment: wait until it has ended" in failed.stderr
 
 
-def test_a_disk_that_fills_up_meanwhile_is_told_with_its_host(hosts: SshHosts):
+def test_full_disk_is_reported_with_its_host(hosts: SshHosts):
     host = hosts.add("robot1", BARE)
     host.data.mkdir(parents=True)
     if subprocess.run(["mount", "-t", "tmpfs", "-o", "size=1m", "tmpfs", str(host.data)]).returncode:
@@ -296,6 +294,6 @@ def test_a_disk_that_fills_up_meanwhile_is_told_with_its_host(hosts: SshHosts):
         subprocess.run(["umount", str(host.data)], check=True)
 
 
-def test_a_fleet_without_hosts_is_told_how_to_name_one(rig: Rig, fleet: Path):
+def test_fleet_without_hosts_is_refused_with_advice(rig: Rig, fleet: Path):
     failed = deploy(rig, rig.directory / "b.toml")
     assert failed.returncode == 1 and 'add host = "pi@robot1"' in failed.stderr

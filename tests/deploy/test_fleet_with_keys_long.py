@@ -24,7 +24,7 @@ BROKEN = MODULE.replace(
 
 
 class Yard:
-    """A fleet of three agents that speak over TCP with keys, each on its host, and the operator's machine."""
+    """A fleet of three agents with keys over TCP, each on its host, and the operator's machine."""
 
     def __init__(self, rig: Rig, hosts: SshHosts, core: Path) -> None:
         self.rig, self.hosts = rig, hosts
@@ -77,8 +77,8 @@ def yard(rig: Rig, hosts: SshHosts, core: Path, cache: Path) -> Iterator[Yard]:
     rig.pancakes("down", "--fleet-file", str(made.file))
 
 
-def test_bare_hosts_become_a_fleet_with_keys_by_one_command(yard: Yard):
-    # Without keys nothing is brought; without a fleet no keys are given out.
+def test_one_command_deploys_a_fleet_with_keys(yard: Yard):
+    # Without keys nothing is deployed; without an authority no keys are given out.
     code, said = yard.deploy()
     assert code == 1 and "a needs keys of the fleet yard, and robot1 has none: use pancakes deploy" in said, said
     code, said = yard.deploy("--enrol", "--dry-run")
@@ -98,7 +98,7 @@ def test_bare_hosts_become_a_fleet_with_keys_by_one_command(yard: Yard):
     assert set(pids) == set("abc")
     assert yard.errors() == []
 
-    # Each agent can check a roster, though nobody has asked for the extra `keys`.
+    # Each agent can check a roster, although nobody has requested the extra `keys`.
     revoked = yard.rig.pancakes(
         "fleet",
         "revoke",
@@ -119,7 +119,7 @@ def test_bare_hosts_become_a_fleet_with_keys_by_one_command(yard: Yard):
     assert (code, said.count("has the version"), yard.runs()) == (0, 3, pids), said
     assert "new environment" not in said and took_s < AGAIN_S, took_s
 
-    # A configuration that is not sound is found before anything is brought, with its line.
+    # An invalid configuration is found before anything is deployed, with its line.
     good = (yard.rig.directory / "c.toml").read_text()
     (yard.rig.directory / "c.toml").write_text(good + WALK.replace("broken", "borken"))
     code, said = yard.deploy()
@@ -127,13 +127,13 @@ def test_bare_hosts_become_a_fleet_with_keys_by_one_command(yard: Yard):
     (yard.rig.directory / "c.toml").write_text(good)
     assert yard.runs() == pids
 
-    # A bad version is taken back: everything runs as before.
+    # A bad version is rolled back: everything runs as before.
     code, said = yard.deploy(wheel=plugin_wheel(yard.rig.directory / "2", "2.0", BROKEN))
     assert code == 1 and "it has no legs" in said and "a is back at the version" in said, said
     states = {row["task"]: row["state"] for row in yard.asked("task", "list") if row["service"] == "client"}
     assert states["Walk"] == "running" and yard.errors() == []
 
-    # Hosts that were edited by hand are told, and are as they were deployed afterwards.
+    # Edits by hand on hosts are reported, and replaced by the deployed files.
     edited = yard.current("b") / "agent.toml"
     edited.write_text("this is no TOML")
     (site,) = (yard.current("c") / "environment").resolve().glob("lib/python*/site-packages")
@@ -151,7 +151,7 @@ def test_bare_hosts_become_a_fleet_with_keys_by_one_command(yard: Yard):
     code, said = yard.deploy()
     assert (code, said.count("has the version")) == (0, 3), said
 
-    # A host that is off is named; the others are deployed to without it.
+    # A host that is off is named; the others can be deployed without it.
     second = plugin_wheel(yard.rig.directory / "3", "3.0")
     yard.hosts.hosts["robot3"].close()
     code, said = yard.deploy(wheel=second)

@@ -1,4 +1,4 @@
-"""Which extras a deployment brings by itself."""
+"""The extras that a deployment adds by itself."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Hosts whose shell prints what it likes, or that take `ssh` and say nothing."""
+"""Hosts whose shell prints odd output, or that accept `ssh` and stay silent."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def bashrc(hosts: SshHosts, text: str, name: str = "robot1") -> None:
 
 
 @pytest.mark.parametrize("noise", NOISE)
-def test_host_is_heard_whatever_its_shell_prints(hosts: SshHosts, noise: str):
+def test_shell_output_of_a_host_is_ignored(hosts: SshHosts, noise: str):
     bashrc(hosts, NOISE[noise])
     link = HostLink("robot1")
     for _ in range(3):
@@ -66,7 +66,7 @@ def fleet(rig: Rig, names: list[str]) -> Path:
     return path
 
 
-def test_host_that_says_nothing_is_told(hosts: SshHosts):
+def test_silent_host_is_reported(hosts: SshHosts):
     bashrc(hosts, "echo 'waiting for the home directory' >&2; sleep 600")
     link = HostLink("robot1")
     with pytest.raises(Unreachable, match=r"robot1 does not answer within 5 s \(waiting for the home directory\): see"):
@@ -74,7 +74,7 @@ def test_host_that_says_nothing_is_told(hosts: SshHosts):
     assert link.lost
 
 
-def test_host_that_falls_silent_is_told(hosts: SshHosts, monkeypatch: pytest.MonkeyPatch):
+def test_host_that_falls_silent_is_reported(hosts: SshHosts, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr("pancakes.tools.launch.ssh.SILENT_S", 0.5)
     bashrc(hosts, "")
     link = HostLink("robot1")
@@ -86,7 +86,7 @@ def test_host_that_falls_silent_is_told(hosts: SshHosts, monkeypatch: pytest.Mon
     there.kill()
 
 
-def test_host_that_takes_a_connection_and_is_no_ssh_server_is_told(hosts: SshHosts, monkeypatch: pytest.MonkeyPatch):
+def test_port_without_an_ssh_server_is_reported(hosts: SshHosts, monkeypatch: pytest.MonkeyPatch):
     with socket.create_server(("127.0.0.1", 0)) as mute:
         hosts.add("robot1", BARE).port = mute.getsockname()[1]
         hosts.write_config()
@@ -95,7 +95,7 @@ def test_host_that_takes_a_connection_and_is_no_ssh_server_is_told(hosts: SshHos
             HostLink("robot1").obtain("look", 20.0, fleet_of={})
 
 
-def test_agents_on_a_host_that_falls_silent_have_ended(rig: Rig, hosts: SshHosts):
+def test_agents_on_a_silent_host_end(rig: Rig, hosts: SshHosts):
     bashrc(hosts, "")
     program = "from pancakes.tools.launch import remote_hosts, ssh\n"
     program += "ssh.SILENT_S = 5.0\nremote_hosts.ALIVE_S = 0.5\n"
@@ -117,7 +117,7 @@ def link_of(process: psutil.Process, hosts: SshHosts, python: str) -> bool:
 
 @pytest.mark.parametrize("verb", ["launch", "deploy", "down"])
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
-def test_command_that_is_ended_leaves_no_ssh_behind(rig: Rig, hosts: SshHosts, verb: str, number: int):
+def test_ended_command_leaves_no_ssh_process(rig: Rig, hosts: SshHosts, verb: str, number: int):
     names = ["robot1", "robot2", "robot3"]
     for name in names:
         bashrc(hosts, "sleep 600", name)

@@ -1,4 +1,4 @@
-"""The supervisor of Pancakes, with small programs in the agent's place."""
+"""The supervisor of Pancakes, with small programs in place of the agent."""
 
 from __future__ import annotations
 
@@ -76,14 +76,14 @@ def supervised(tmp_path: Path) -> Iterator[Supervised]:
         made.process.wait()
 
 
-def test_one_that_hangs_is_ended_and_started_again(supervised: Supervised):
+def test_hanging_agent_is_killed_and_restarted(supervised: Supervised):
     supervised.start(SAY + "time.sleep(600)", watchdog_s=0.3)
     first = supervised.wait(lambda it: it["state"] == "active")["pid"]
     assert supervised.wait(lambda it: it["restarts"] >= 1 and it["pid"] not in (0, first))["restarts"] == 1
     assert "the supervisor kills the agent: it hangs" in supervised.log()
 
 
-def test_the_pauses_grow(supervised: Supervised):
+def test_pauses_between_restarts_grow(supervised: Supervised):
     supervised.start("import sys; sys.exit(3)")
     supervised.wait(lambda it: it["restarts"] >= 4)
     pauses = [line.split()[6] for line in supervised.log().splitlines() if "restarts the agent" in line]
@@ -91,16 +91,16 @@ def test_the_pauses_grow(supervised: Supervised):
 
 
 @pytest.mark.parametrize(("code", "state"), [(0, "inactive"), (4, "failed")])
-def test_what_ends_in_order_or_would_end_each_time_is_not_started_again(supervised: Supervised, code: int, state: str):
+def test_graceful_end_or_bad_configuration_is_final(supervised: Supervised, code: int, state: str):
     supervised.start(f"import sys; sys.exit({code})")
     assert supervised.process is not None and supervised.process.wait(PATIENCE_S) == 0
     assert supervised.wait(lambda it: True) == {"state": state, "pid": 0, "restarts": 0}
 
 
-def test_it_ends_its_agent_with_what_that_says_last(supervised: Supervised):
+def test_supervisor_stops_its_agent_and_keeps_its_output(supervised: Supervised):
     end = "import os, signal\nsignal.signal(signal.SIGTERM, lambda *it: (print('farewell', flush=True), os._exit(0)))\n"
     supervised.start(end + LIVES)
-    # It says that it is ready before it says that it lives.
+    # It reports that it is ready before its first sign of life.
     pid = supervised.wait(lambda it: it["state"] == "active" and supervised.log() != "")["pid"]
     assert supervised.process is not None
     supervised.process.send_signal(signal.SIGTERM)
@@ -109,7 +109,7 @@ def test_it_ends_its_agent_with_what_that_says_last(supervised: Supervised):
     assert supervised.log().splitlines() == ["I live", "farewell"]
 
 
-def test_a_program_that_is_not_there_is_tried_again(supervised: Supervised):
+def test_missing_program_is_tried_again(supervised: Supervised):
     supervised.start_command(["/no/such/program"])
     supervised.wait(lambda it: it["restarts"] >= 2)
     assert supervised.process is not None

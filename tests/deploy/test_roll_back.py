@@ -1,4 +1,4 @@
-"""What runs after a deployment that was taken back: what ran before it."""
+"""After a rollback, the same tasks run as before the deployment."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def yard(rig: Rig, hosts: SshHosts, cache: Path) -> Yard:
 
 
 @pytest.mark.timeout(300)
-def test_roll_back_runs_again_what_ran_before(rig: Rig, yard: Yard, core: Path):
+def test_roll_back_restores_running_tasks(rig: Rig, yard: Yard, core: Path):
     sound, broken = plugin_wheel(rig.directory / "1", "1.0"), plugin_wheel(rig.directory / "2", "2.0", BROKEN)
     ours = (yard.file, "--wheels", core, "--calm", "1s", "--extra", "record")
     try:
@@ -65,14 +65,14 @@ def test_roll_back_runs_again_what_ran_before(rig: Rig, yard: Yard, core: Path):
         assert (yard.state("Walk"), yard.state("Recorder")) == ("running", "running"), failed.stderr
         assert yard.errors() == []
         assert [row["done"] for row in yard.asked("record", "list")] == ["recording"]
-        (told,) = yard.asked("task", "info", "a/log/Recorder")
-        assert told["settings"]["channels"] == ["system"]
+        (recorder,) = yard.asked("task", "info", "a/log/Recorder")
+        assert recorder["settings"]["channels"] == ["system"]
     finally:
         rig.pancakes("down", "--fleet-file", str(yard.file))
 
 
 @pytest.mark.timeout(300)
-def test_version_that_is_mended_runs_where_a_bad_one_was_the_first(rig: Rig, yard: Yard, core: Path):
+def test_fixed_version_runs_after_a_bad_first_one(rig: Rig, yard: Yard, core: Path):
     sound, broken = plugin_wheel(rig.directory / "1", "1.0"), plugin_wheel(rig.directory / "2", "2.0", BROKEN)
     ours = (yard.file, "--wheels", core, "--calm", "1s")
     try:

@@ -1,4 +1,4 @@
-"""What keeps a deployed agent running: systemd, or the supervisor of Pancakes. One suite holds for both."""
+"""The service managers of deployed agents: systemd and the supervisor of Pancakes. The same tests check both."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ SOUND = f'schema = 1\n[agent]\nname = "a"\nfleet = "yard"\nlisten = "tcp://127.0
 
 
 class Kept:
-    """An agent on a host, and the connection over which its manager is asked."""
+    """An agent on a host, and the connection to its service manager."""
 
     def __init__(self, host: SshHost, kind: str) -> None:
         self.host, self.kind = host, kind
@@ -31,7 +31,7 @@ class Kept:
         self.give(SOUND)
 
     def give(self, config: str) -> None:
-        """Has the agent a configuration; it runs in the environment of the tests."""
+        """Have the agent a configuration; it runs in the environment of the tests."""
         folder = self.host.data / "agents" / "yard" / "a"
         version = folder / "versions" / "v"
         version.mkdir(parents=True, exist_ok=True)
@@ -48,7 +48,7 @@ class Kept:
         return found
 
     def wait(self, condition: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
-        """Waits until the status is as it should be; returns it."""
+        """Wait until the status is as it should be; returns it."""
         until_s = time.monotonic() + PATIENCE_S
         while not condition(status := self.status()):
             assert time.monotonic() < until_s, status
@@ -81,7 +81,7 @@ def kept(hosts: SshHosts, request: pytest.FixtureRequest) -> Iterator[Kept]:
         manager.close()
 
 
-def test_it_starts_an_agent_that_outlives_the_connection_until_it_is_stopped(kept: Kept):
+def test_service_outlives_the_connection(kept: Kept):
     kept.ask("start_service")
     status = kept.status()
     assert (status["manager"], status["state"], status["restarts"]) == (kept.kind, "active", 0)
@@ -95,7 +95,7 @@ def test_it_starts_an_agent_that_outlives_the_connection_until_it_is_stopped(kep
     kept.ask("stop_service")
 
 
-def test_it_starts_an_agent_again_that_fails_and_not_one_that_ends_in_order(kept: Kept):
+def test_service_restarts_only_after_a_failure(kept: Kept):
     kept.ask("start_service")
     first = kept.status()["pid"]
     os.kill(first, signal.SIGKILL)
@@ -107,7 +107,7 @@ def test_it_starts_an_agent_again_that_fails_and_not_one_that_ends_in_order(kept
     assert kept.status()["state"] == "active"
 
 
-def test_an_agent_that_cannot_run_is_told_and_not_tried_again(kept: Kept):
+def test_agent_that_cannot_run_is_reported(kept: Kept):
     kept.give("schema = 1\n[agent]\nnome = 3\n")
     with pytest.raises(HostError, match="robot does not get a ready: "):
         kept.ask("start_service")
@@ -117,7 +117,7 @@ def test_an_agent_that_cannot_run_is_told_and_not_tried_again(kept: Kept):
     assert kept.status()["state"] == "active"
 
 
-def test_nothing_of_it_is_left_once_it_is_forgotten(kept: Kept):
+def test_forgotten_service_leaves_nothing(kept: Kept):
     kept.ask("start_service")
     pid = kept.status()["pid"]
     kept.ask("forget_service")

@@ -1,4 +1,4 @@
-"""When the tasks of an agent that was restarted run as they should."""
+"""Deciding whether the tasks of a restarted agent run well."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ def row(state: str = "running", incarnation: int = 1, task: str = "T", reason: s
     return replace(who, reason=reason, rest=rest, incarnation=incarnation)
 
 
-def test_tasks_have_to_run_for_a_while():
+def test_tasks_must_run_undisturbed():
     steadiness = Steadiness({}, calm_s=2.0)
     assert [steadiness.look([row()], now_s) for now_s in (0.0, 1.0, 1.9, 2.0)] == [False, False, False, True]
 
@@ -28,7 +28,7 @@ def test_a_restarted_task_restarts_the_wait():
     assert steadiness.look([row(incarnation=3)], 6.5)
 
 
-def test_what_does_not_run_is_told_unless_it_did_not_before():
+def test_task_that_ran_before_must_run():
     tasks = [
         row("failed", reason="no legs"),
         row("refused", task="Scan", reason="lacks sonar"),
@@ -42,6 +42,6 @@ def test_what_does_not_run_is_told_unless_it_did_not_before():
     assert not Steadiness({"client/T": "failed"}, 1.0).is_hopeless(tasks)
 
 
-def test_one_that_was_given_up_in_an_earlier_life_of_its_agent_does_not_run():
+def test_task_given_up_earlier_counts_as_failed():
     tasks = [row("stopped", rest="failed")]
     assert Steadiness({}, 1.0).faults(tasks) == ["client/T is failed"] and Steadiness({}, 1.0).is_hopeless(tasks)

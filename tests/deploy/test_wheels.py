@@ -1,4 +1,4 @@
-"""Which wheels a deployment brings, and how they are named."""
+"""The wheels of a deployment, and the names of builds."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from pancakes.tools.deploy.wheels import (
 
 
 def core(folder: Path, text: str = "", requires: str = "") -> Path:
-    """Writes a wheel that bears the name of Pancakes."""
+    """Write a wheel that bears the name of Pancakes."""
     folder.mkdir(exist_ok=True)
     path = folder / "pancakes_agents-9.0-py3-none-any.whl"
     with zipfile.ZipFile(path, "w") as archive:
@@ -35,7 +35,7 @@ def core(folder: Path, text: str = "", requires: str = "") -> Path:
     return path
 
 
-def test_wheels_are_named_or_lie_in_a_folder(tmp_path: Path):
+def test_wheels_are_given_as_files_or_folder(tmp_path: Path):
     plugin_wheel(tmp_path / "dist", "1.0")
     core(tmp_path / "dist")
     wheels = given_wheels([tmp_path / "dist"])
@@ -53,7 +53,7 @@ def test_wheels_are_named_or_lie_in_a_folder(tmp_path: Path):
         (["core", "text.whl"], "text.whl is not a wheel: "),
     ],
 )
-def test_what_is_wrong_with_wheels_is_told(tmp_path: Path, names: list[str], fault: str):
+def test_faulty_wheels_are_refused(tmp_path: Path, names: list[str], fault: str):
     (tmp_path / "empty").mkdir()
     (tmp_path / "text.whl").write_text("no archive")
     plugin_wheel(tmp_path / "one", "1.0")
@@ -64,7 +64,7 @@ def test_what_is_wrong_with_wheels_is_told(tmp_path: Path, names: list[str], fau
     assert fault in str(raised.value)
 
 
-def test_a_build_is_another_where_a_file_is_and_not_where_a_time_is(tmp_path: Path):
+def test_build_depends_on_files_and_not_on_times(tmp_path: Path):
     builds = [build_of([wheel_at(core(tmp_path / name, text))]) for name, text in (("1", "a"), ("2", "a"), ("3", "b"))]
     assert builds[0] == builds[1] != builds[2] and builds[0].startswith("9.0-")
     one, other = (wheel_at(core(tmp_path / name)) for name in ("1", "3"))
@@ -73,7 +73,7 @@ def test_a_build_is_another_where_a_file_is_and_not_where_a_time_is(tmp_path: Pa
     assert len({wheel_at(core(tmp_path / "4", text)).digest for text in "ab"}) == 2 and other.name == one.name
 
 
-def test_a_wheel_that_is_built_again_is_the_same(tmp_path: Path):
+def test_rebuilt_wheel_has_the_same_digest(tmp_path: Path):
     first = wheel_at(core(tmp_path / "1"))
     with zipfile.ZipFile(first.path) as archive:
         files = {info.filename: archive.read(info) for info in archive.infolist()}
@@ -85,7 +85,7 @@ def test_a_wheel_that_is_built_again_is_the_same(tmp_path: Path):
     assert wheel_at(later).digest == first.digest
 
 
-def test_an_index_that_cannot_be_reached_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_unreachable_index_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.setenv("PIP_INDEX_URL", "http://127.0.0.1:1/simple")
     monkeypatch.setenv("PIP_RETRIES", "1")
@@ -94,7 +94,7 @@ def test_an_index_that_cannot_be_reached_is_told(tmp_path: Path, monkeypatch: py
         libraries_for([wheel], [], Platform("3.11", ("linux_x86_64",)))
 
 
-def test_the_platform_of_a_host_says_which_wheels_run_there():
+def test_platform_gives_the_wheel_tags():
     arm = Platform.of([3, 13, 1], "linux-aarch64", ["glibc", "2.19"])
     assert arm.python == "3.13"
     assert arm.tags[:4] == (
@@ -113,12 +113,12 @@ def test_the_platform_of_a_host_says_which_wheels_run_there():
         Platform.of([3, 12], "macosx-14.0-arm64", ["", ""])
 
 
-def test_a_library_that_is_not_there_for_a_platform_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_missing_library_for_a_platform_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     wheel = wheel_at(core(tmp_path / "core", requires="Requires-Dist: no-such-library-of-pancakes==1.0\n"))
     with pytest.raises(PancakesError) as raised:
         libraries_for([wheel], [], Platform("3.11", ("linux_sparc64",)))
-    told = str(raised.value)
-    assert told.startswith("no wheels for Python 3.11 on linux_sparc64: ERROR: ")
-    assert "no-such-library-of-pancakes" in told
+    text = str(raised.value)
+    assert text.startswith("no wheels for Python 3.11 on linux_sparc64: ERROR: ")
+    assert "no-such-library-of-pancakes" in text
     assert not list((tmp_path / "cache" / "pancakes" / "libraries").iterdir())

@@ -1,4 +1,4 @@
-"""Wheels that are built of what is installed here."""
+"""Wheels that are built from the installed packages."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 from pancakes.tools.deploy.wheels import distribution_of, installed_wheels
 
 
-def test_wheels_are_made_of_what_is_installed_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_wheels_of_installed_packages_are_built_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     for name in ("one", "two", "three"):
         (tmp_path / name).mkdir()

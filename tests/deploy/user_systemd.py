@@ -1,4 +1,4 @@
-"""A real systemd that manages the services of one user, in a mount namespace of its own: PID 1 may be anything."""
+"""A real systemd that manages the services of one user, in its own mount namespace: PID 1 may be anything."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ class UserSystemd:
         return subprocess.run(command, env=self.environment, capture_output=True, text=True)
 
     def close(self) -> None:
-        """Ends it, and the services that it runs."""
+        """End it, and the services that it runs."""
         if self._process.poll() is None:
             self._process.terminate()
             try:

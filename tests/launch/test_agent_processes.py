@@ -1,4 +1,4 @@
-"""The processes of launched agents: what they print becomes lines, and their end comes after all that they printed."""
+"""The processes of launched agents: their output becomes lines, and their end is reported after all output."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ from pancakes.tools.remote_host.agent_processes import LONGEST, AgentProcesses, 
 
 
 class Heard:
-    """Keeps what it is told."""
+    """Records all events."""
 
     def __init__(self) -> None:
-        self.told: list[tuple[object, ...]] = []
+        self.events: list[tuple[object, ...]] = []
 
     def printed(self, name: str, text: str) -> None:
-        self.told.append((name, "printed", text))
+        self.events.append((name, "printed", text))
 
     def said(self, name: str, line: str) -> None:
-        self.told.append((name, "said", line))
+        self.events.append((name, "said", line))
 
     def ended(self, name: str, code: int, how: str = "") -> None:
-        self.told.append((name, "ended", code))
+        self.events.append((name, "ended", code))
 
 
 @pytest.fixture
@@ -62,9 +62,7 @@ def open_files() -> int:
     return len(list(Path(f"/proc/{os.getpid()}/fd").iterdir()))
 
 
-def test_an_agent_is_heard_until_its_end_and_its_pipes_are_closed(
-    processes: AgentProcesses, heard: Heard, closed: list[int]
-) -> None:
+def test_agent_output_is_read_to_the_end(processes: AgentProcesses, heard: Heard, closed: list[int]) -> None:
     before = open_files()
     start(processes, "a", "os.write(1, b'one\\n'); os.write(SAID, b'ready\\n'); os.write(1, b'two'); sys.exit(7)")
     pipes = set(processes.pipes())
@@ -74,21 +72,21 @@ def test_an_agent_is_heard_until_its_end_and_its_pipes_are_closed(
     processes.processes()[0].wait()
     processes.look()
 
-    assert sorted(heard.told[:-1]) == [("a", "printed", "one"), ("a", "printed", "two"), ("a", "said", "ready")]
-    assert heard.told[-1] == ("a", "ended", 7) and not processes
+    assert sorted(heard.events[:-1]) == [("a", "printed", "one"), ("a", "printed", "two"), ("a", "said", "ready")]
+    assert heard.events[-1] == ("a", "ended", 7) and not processes
     assert set(closed) == pipes and open_files() == before
 
 
-def test_what_an_agent_printed_last_comes_before_its_end(processes: AgentProcesses, heard: Heard) -> None:
+def test_last_output_is_reported_before_the_end(processes: AgentProcesses, heard: Heard) -> None:
     start(processes, "a", "os.write(1, b'last'); os.system('sleep 5 &')")  # its child keeps the pipe open
     child = processes.processes()[0]
     child.wait()
     processes.look()
 
-    assert heard.told == [("a", "printed", "last"), ("a", "ended", 0)]
+    assert heard.events == [("a", "printed", "last"), ("a", "ended", 0)]
 
 
-def test_an_agent_that_cannot_be_started_leaves_no_pipe_open(processes: AgentProcesses) -> None:
+def test_failed_start_leaves_no_pipe_open(processes: AgentProcesses) -> None:
     def fail(output: int, said: int) -> subprocess.Popen[bytes]:
         raise OSError("no room")
 
@@ -99,7 +97,7 @@ def test_an_agent_that_cannot_be_started_leaves_no_pipe_open(processes: AgentPro
     assert open_files() == before and not processes
 
 
-def test_lines_are_put_together_from_pieces() -> None:
+def test_lines_are_joined_from_pieces() -> None:
     lines = Lines()
 
     assert list(lines.feed(b"one\ntw")) == ["one"]
@@ -108,7 +106,7 @@ def test_lines_are_put_together_from_pieces() -> None:
     assert list(lines.rest()) == []
 
 
-def test_a_letter_may_come_in_two_pieces_and_what_is_no_letter_is_shown() -> None:
+def test_split_and_invalid_utf8_are_decoded() -> None:
     lines = Lines()
     first, second = "ä".encode()[:1], "ä".encode()[1:]
 
@@ -116,7 +114,7 @@ def test_a_letter_may_come_in_two_pieces_and_what_is_no_letter_is_shown() -> Non
     assert list(lines.feed(second + b"\n\xff\n")) == ["ä", "�"]
 
 
-def test_a_line_without_an_end_is_cut() -> None:
+def test_endless_line_is_cut() -> None:
     found = list(Lines().feed(b"x" * (LONGEST + 5)))
 
     assert [len(line) for line in found] == [LONGEST]

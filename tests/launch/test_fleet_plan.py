@@ -1,4 +1,4 @@
-"""From files and folders to the agents of a fleet, or to everything that is wrong with them at once."""
+"""Reading files and folders into the agents of a fleet, or into all of their faults."""
 
 import os
 import socket
@@ -18,7 +18,7 @@ def write(path: Path, name: str = "", rest: str = "") -> Path:
 
 
 def fleet(folder: Path, text: str) -> list[Member]:
-    """What comes of a folder with this fleet file."""
+    """Read a folder with this fleet file."""
     (folder / "fleet.toml").write_text(f"schema = 1\n{text}")
     return make_fleet([folder], (), None, None)
 
@@ -29,7 +29,7 @@ def faults(folder: Path, text: str) -> list[str]:
     return [str(fault).removeprefix(f"{folder}/") for fault in caught.value.faults]
 
 
-def test_files_are_agents_in_the_order_in_which_they_are_named(tmp_path: Path) -> None:
+def test_files_become_agents_in_the_given_order(tmp_path: Path) -> None:
     paths = [write(tmp_path / "b.toml"), write(tmp_path / "a.toml", "other")]
 
     members = make_fleet(paths, (), None, None)
@@ -38,7 +38,7 @@ def test_files_are_agents_in_the_order_in_which_they_are_named(tmp_path: Path) -
     assert all(it.restart == ProcessRestart("on-failure", 3, 60.0) and it.after == () for it in members)
 
 
-def test_of_a_folder_all_files_are_taken_by_name_and_worlds_come_first(tmp_path: Path) -> None:
+def test_folder_files_are_sorted_with_worlds_first(tmp_path: Path) -> None:
     write(tmp_path / "b.toml")
     write(tmp_path / "a.toml")
     write(tmp_path / "world.toml", rest='role = "environment"')
@@ -48,12 +48,12 @@ def test_of_a_folder_all_files_are_taken_by_name_and_worlds_come_first(tmp_path:
     assert [(it.name, it.after) for it in members] == [("world", ()), ("a", ("world",)), ("b", ("world",))]
 
 
-def test_an_empty_folder_is_a_mistake(tmp_path: Path) -> None:
+def test_empty_folder_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"folder: contains no configuration"):
         make_fleet([tmp_path], (), None, None)
 
 
-def test_a_fleet_file_says_who_and_how(tmp_path: Path) -> None:
+def test_fleet_file_defines_its_agents(tmp_path: Path) -> None:
     write(tmp_path / "gate.toml", rest='fleet = "other"')
     write(tmp_path / "node.toml", rest="[clock]\nspeed = 2.0")
 
@@ -87,7 +87,7 @@ def test_a_fleet_file_says_who_and_how(tmp_path: Path) -> None:
     assert first.path == tmp_path / "node.toml"
 
 
-def test_the_command_line_has_the_last_word(tmp_path: Path) -> None:
+def test_command_line_overrides_the_fleet_file(tmp_path: Path) -> None:
     paths = [write(tmp_path / "a.toml", rest="[clock]\nspeed = 2.0"), write(tmp_path / "b.toml")]
 
     first, second = make_fleet(paths, ("a:clock.speed=3", "agent.seed=7"), "always", None)
@@ -100,7 +100,7 @@ def test_the_command_line_has_the_last_word(tmp_path: Path) -> None:
         make_fleet(paths, ("c:clock.speed=3",), None, None)
 
 
-def test_all_mistakes_of_all_files_are_named_at_once(tmp_path: Path) -> None:
+def test_faults_of_all_files_are_reported_together(tmp_path: Path) -> None:
     paths = [write(tmp_path / "a.toml", rest="lisen = 1"), write(tmp_path / "b.toml", rest="[clock]\nspeed = 0")]
 
     with pytest.raises(ConfigError) as caught:
@@ -116,7 +116,7 @@ def test_all_mistakes_of_all_files_are_named_at_once(tmp_path: Path) -> None:
         ('state_dir = "s"', 'state_dir = "s"', "is the state directory of a"),
     ],
 )
-def test_what_two_agents_cannot_both_have(tmp_path: Path, first: str, second: str, problem: str) -> None:
+def test_two_agents_cannot_share_a_port_or_directory(tmp_path: Path, first: str, second: str, problem: str) -> None:
     paths = [write(tmp_path / "a.toml", rest=first), write(tmp_path / "b.toml", rest=second)]
 
     with pytest.raises(ConfigError) as caught:
@@ -127,12 +127,12 @@ def test_what_two_agents_cannot_both_have(tmp_path: Path, first: str, second: st
     assert fault.where == f"{paths[1]}:4"
 
 
-def test_ports_that_are_given_out_freely_do_not_clash(tmp_path: Path) -> None:
+def test_ports_chosen_by_the_system_do_not_clash(tmp_path: Path) -> None:
     rest = 'listen = "tcp://127.0.0.1:0"'
     make_fleet([write(tmp_path / "a.toml", rest=rest), write(tmp_path / "b.toml", rest=rest)], (), None, None)
 
 
-def test_two_agents_of_one_name(tmp_path: Path) -> None:
+def test_two_agents_of_one_name_are_a_fault(tmp_path: Path) -> None:
     paths = [write(tmp_path / "a.toml"), write(tmp_path / "b.toml", "a")]
 
     with pytest.raises(ConfigError, match=r"b.toml: \[agent\] name: .*a.toml already defines an agent 'a'"):
@@ -177,14 +177,14 @@ def test_two_agents_of_one_name(tmp_path: Path) -> None:
         ("[fleet]\n[agent.x]\n", ["fleet.toml:3: [agent.x] config: the file {}/x.toml does not exist"]),
     ],
 )
-def test_mistakes_of_a_fleet_file(tmp_path: Path, text: str, expected: list[str]) -> None:
+def test_faults_of_a_fleet_file(tmp_path: Path, text: str, expected: list[str]) -> None:
     write(tmp_path / "a.toml")
     write(tmp_path / "b.toml")
 
     assert faults(tmp_path, text) == [line.format(tmp_path) for line in expected]
 
 
-def test_the_fleet_file_of_the_documentation(tmp_path: Path) -> None:
+def test_fleet_file_of_the_documentation(tmp_path: Path) -> None:
     text = (Path(__file__).resolve().parents[2] / "docs" / "configuration.md").read_text()
     block = next(part for part in text.split("```") if part.startswith("toml") and "[fleet]" in part)
     write(tmp_path / "gateway.toml")
@@ -200,7 +200,7 @@ def test_the_fleet_file_of_the_documentation(tmp_path: Path) -> None:
     assert members[1].config.tasks["Report"].rate_hz == 2.0
 
 
-def test_what_the_schema_of_a_fleet_file_knows() -> None:
+def test_schema_of_a_fleet_file() -> None:
     schema = fleet_schema()
 
     assert set(schema["properties"]) == {"schema", "fleet", "agent"}
@@ -223,7 +223,7 @@ def entry(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Registrat
     registration.remove()
 
 
-def test_a_name_that_is_borne_already(tmp_path: Path, entry: Registration) -> None:
+def test_name_of_a_running_agent_is_refused(tmp_path: Path, entry: Registration) -> None:
     members = make_fleet([write(tmp_path / "a.toml")], (), None, None)
 
     with pytest.raises(PancakesError, match="the agent a of the fleet default runs already \\(process 4711\\)"):
@@ -231,7 +231,7 @@ def test_a_name_that_is_borne_already(tmp_path: Path, entry: Registration) -> No
     check_free(make_fleet([write(tmp_path / "a.toml")], ('agent.fleet="other"',), None, None)).release()
 
 
-def test_a_port_that_is_in_use_or_claimed(tmp_path: Path, entry: Registration) -> None:
+def test_used_or_claimed_port_is_refused(tmp_path: Path, entry: Registration) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         listen = f"tcp://127.0.0.1:{taken.getsockname()[1]}"
         members = make_fleet([write(tmp_path / "b.toml", rest=f'listen = "{listen}"')], (), None, None)
@@ -248,7 +248,7 @@ def test_a_port_that_is_in_use_or_claimed(tmp_path: Path, entry: Registration) -
     check_free(members).release()
 
 
-def test_a_fault_of_one_agent_hides_none_of_another(tmp_path: Path) -> None:
+def test_fault_of_one_agent_hides_no_other(tmp_path: Path) -> None:
     (tmp_path / "a.toml").write_text('schema = 1\n[agent\nname = "a"\n')
     write(tmp_path / "b.toml", rest="seed = 1 x\n[clock]\nspeed = 0")
     write(tmp_path / "d.toml", rest="[clock]\nspede = 1")
@@ -263,7 +263,7 @@ def test_a_fault_of_one_agent_hides_none_of_another(tmp_path: Path) -> None:
     ]
 
 
-def test_a_fleet_file_is_read_past_a_value_that_is_none(tmp_path: Path) -> None:
+def test_fleet_file_is_read_past_an_invalid_value(tmp_path: Path) -> None:
     write(tmp_path / "a.toml")
     text = "[fleet]\nset = { x = }\n[agent.a]\naftr = 1\nrestart.at_most = 1s\n"
 

@@ -1,4 +1,4 @@
-"""The plan of a launched fleet: who starts when, what starts again, who ends first. Pure, so time is a number."""
+"""The plan of a launched fleet: when agents start, restart and stop. Pure, so time is a number."""
 
 from pathlib import Path
 
@@ -24,16 +24,16 @@ def member(name: str, *after: str, restart: ProcessRestart | None = None, hold: 
 
 
 def done(actions: list[Action]) -> list[Action]:
-    """What is done; what is only told is left out."""
+    """Return the actions without those that only report to the person."""
     return [action for action in actions if not isinstance(action, TellPerson)]
 
 
-def told(actions: list[Action]) -> list[tuple[str, str]]:
+def events(actions: list[Action]) -> list[tuple[str, str]]:
     return [(action.name, action.event) for action in actions if isinstance(action, TellPerson)]
 
 
 def running(*members: Member) -> LaunchPlan:
-    """A plan whose agents are all ready."""
+    """Return a plan whose agents are all ready."""
     plan = LaunchPlan(members)
     spawned = done(plan.start(0.0))
     while spawned:
@@ -44,14 +44,14 @@ def running(*members: Member) -> LaunchPlan:
 
 
 def again(plan: LaunchPlan, ended: list[Action]) -> list[Action]:
-    """The next try after an end, which comes after a pause."""
+    """Return the actions of the next restart, after its pause."""
     assert done(ended) == []
     assert plan.deadline_s is not None
     assert plan.tick(plan.deadline_s - 0.001) == []
     return done(plan.tick(plan.deadline_s))
 
 
-def test_an_agent_starts_once_those_are_ready_that_it_comes_after() -> None:
+def test_agent_starts_once_its_predecessors_are_ready() -> None:
     plan = LaunchPlan([member("c", "a", "b"), member("a"), member("b", "a")])
 
     assert done(plan.start(0.0)) == [SpawnProcess("a")]
@@ -60,11 +60,11 @@ def test_an_agent_starts_once_those_are_ready_that_it_comes_after() -> None:
     assert not plan.over
 
 
-def test_where_nobody_waits_all_start_at_once_in_their_order() -> None:
+def test_independent_agents_start_at_once_in_order() -> None:
     assert done(LaunchPlan([member("b"), member("a")]).start(0.0)) == [SpawnProcess("b"), SpawnProcess("a")]
 
 
-def test_they_end_in_reverse_and_nobody_before_those_that_come_after_it() -> None:
+def test_agents_stop_in_reverse_order() -> None:
     plan = running(member("a"), member("b", "a"), member("c", "a"), member("d", "c"))
 
     assert plan.stop(10.0) == [Terminate("d"), Terminate("b")]
@@ -77,7 +77,7 @@ def test_they_end_in_reverse_and_nobody_before_those_that_come_after_it() -> Non
     assert plan.exit_code == 0
 
 
-def test_who_does_not_end_is_killed() -> None:
+def test_agent_that_does_not_stop_is_killed() -> None:
     plan = running(member("a"))
     plan.stop(10.0)
 
@@ -92,24 +92,24 @@ def test_who_does_not_end_is_killed() -> None:
     assert plan.exit_code == 0
 
 
-def test_a_long_row_of_agents_ends_within_a_few_seconds_all_the_same() -> None:
+def test_long_chain_of_agents_stops_within_seconds() -> None:
     plan = running(member("a"), member("b", "a"), member("c", "b"))
     plan.stop(0.0)
     plan.tick(END_S)
     assert done(plan.ended("c", -9, END_S)) == [Terminate("b")]
 
     assert plan.tick(ALL_END_S) == [Kill("a"), Kill("b")]
-    assert done(plan.ended("b", -9, ALL_END_S)) == []  # a need not be told any more
+    assert done(plan.ended("b", -9, ALL_END_S)) == []  # a was already told to stop
 
 
-def test_who_says_stop_twice_does_not_want_to_wait() -> None:
+def test_second_stop_kills_at_once() -> None:
     plan = running(member("a"), member("b", "a"))
     plan.stop(0.0)
 
     assert plan.stop(0.1) == [Kill("a"), Kill("b")]
 
 
-def test_a_stop_while_they_start_starts_no_more() -> None:
+def test_stop_during_start_starts_no_more() -> None:
     plan = LaunchPlan([member("a"), member("b", "a")])
     plan.start(0.0)
 
@@ -119,13 +119,13 @@ def test_a_stop_while_they_start_starts_no_more() -> None:
     assert plan.over
 
 
-def test_a_failure_starts_it_again_until_it_is_given_up() -> None:
+def test_failed_agent_is_restarted_until_given_up() -> None:
     plan = running(member("a", restart=ProcessRestart("on-failure", at_most=2, within_s=10.0)), member("b"))
 
     assert again(plan, plan.ended("a", 1, 1.0)) == [SpawnProcess("a")]
     assert again(plan, plan.ended("a", -11, 2.0)) == [SpawnProcess("a")]
     actions = plan.ended("a", 1, 3.0)
-    assert told(actions) == [("a", "given_up")]
+    assert events(actions) == [("a", "given_up")]
     assert done(actions) == []
     assert not plan.over  # the others go on
     plan.stop(4.0)
@@ -134,22 +134,22 @@ def test_a_failure_starts_it_again_until_it_is_given_up() -> None:
     assert plan.exit_code == 1
 
 
-def test_failures_that_lie_far_apart_do_not_add_up() -> None:
+def test_failures_far_apart_do_not_add_up() -> None:
     plan = running(member("a", restart=ProcessRestart("on-failure", at_most=1, within_s=10.0)))
 
     assert again(plan, plan.ended("a", 1, 100.0)) == [SpawnProcess("a")]
     plan.ready("a", 101.0)
     assert again(plan, plan.ended("a", 1, 111.0)) == [SpawnProcess("a")]
     plan.ready("a", 112.0)
-    assert told(plan.ended("a", 1, 121.0)) == [("a", "given_up")]
+    assert events(plan.ended("a", 1, 121.0)) == [("a", "given_up")]
 
 
-def test_each_restart_waits_longer_than_the_one_before() -> None:
-    """An agent whose port comes free a second later is found, and one that never starts is given up all the same."""
+def test_each_restart_waits_longer() -> None:
+    """So an agent whose port becomes free a second later starts, and one that never starts is given up."""
     restart = ProcessRestart("on-failure", at_most=4, within_s=60.0, pause_s=1.0, pause_max_s=4.0)
     plan = running(member("a", restart=restart))
     now_s, waited_s = 100.0, []
-    while "given_up" not in [event for _, event in told(plan.ended("a", 1, now_s))]:
+    while "given_up" not in [event for _, event in events(plan.ended("a", 1, now_s))]:
         assert plan.deadline_s is not None
         waited_s.append(plan.deadline_s - now_s)
         now_s = plan.deadline_s
@@ -160,14 +160,14 @@ def test_each_restart_waits_longer_than_the_one_before() -> None:
         assert 0.75 * most_s <= found_s <= most_s
 
 
-def test_a_person_is_told_when_the_next_try_is() -> None:
+def test_time_of_the_next_restart_is_reported() -> None:
     plan = running(member("a", restart=ProcessRestart(pause_s=8.0)))
     (only,) = plan.ended("a", 1, 1.0)
     assert isinstance(only, TellPerson) and plan.deadline_s is not None
     assert only.text == f"has ended (exit code 1) and is started again in {plan.deadline_s - 1.0:.1f} s"
 
 
-def test_a_stop_calls_the_next_try_off() -> None:
+def test_stop_cancels_the_next_restart() -> None:
     plan = running(member("a"))
     plan.ended("a", 1, 1.0)
 
@@ -177,40 +177,40 @@ def test_a_stop_calls_the_next_try_off() -> None:
     assert plan.exit_code == 0
 
 
-def test_what_ended_in_order_is_started_again_by_always_alone() -> None:
+def test_only_always_restarts_after_a_graceful_end() -> None:
     plan = running(member("a"), member("b", restart=ProcessRestart("always")), member("c"))
 
-    assert told(plan.ended("a", 0, 1.0)) == [("a", "ended")]
+    assert events(plan.ended("a", 0, 1.0)) == [("a", "ended")]
     assert again(plan, plan.ended("b", 0, 1.0)) == [SpawnProcess("b")]
     plan.ended("c", 0, 1.0)
     assert not plan.over
     assert plan.exit_code == 0
 
 
-def test_never_means_never() -> None:
+def test_policy_no_never_restarts() -> None:
     plan = running(member("a", restart=ProcessRestart("no")))
 
-    assert told(plan.ended("a", 1, 1.0)) == [("a", "given_up")]
+    assert events(plan.ended("a", 1, 1.0)) == [("a", "given_up")]
     assert plan.over
     assert plan.exit_code == 1
 
 
-def test_a_bad_configuration_would_be_bad_the_next_time_as_well() -> None:
+def test_bad_configuration_is_not_restarted() -> None:
     plan = running(member("a"))
 
-    assert told(plan.ended("a", 4, 1.0)) == [("a", "given_up")]
+    assert events(plan.ended("a", 4, 1.0)) == [("a", "given_up")]
 
 
-def test_who_waits_for_one_that_has_ended_is_never_started() -> None:
+def test_agent_after_an_ended_one_is_given_up() -> None:
     plan = LaunchPlan([member("a", restart=ProcessRestart("no")), member("b", "a"), member("c", "b")])
     plan.start(0.0)
 
-    assert told(plan.ended("a", 1, 1.0)) == [("a", "given_up"), ("b", "given_up"), ("c", "given_up")]
+    assert events(plan.ended("a", 1, 1.0)) == [("a", "given_up"), ("b", "given_up"), ("c", "given_up")]
     assert plan.over
     assert plan.exit_code == 1
 
 
-def test_a_process_that_cannot_be_made() -> None:
+def test_process_that_cannot_be_created_is_given_up() -> None:
     plan = LaunchPlan([member("a")])
     plan.start(0.0)
 
@@ -220,17 +220,17 @@ def test_a_process_that_cannot_be_made() -> None:
     assert (plan.over, plan.exit_code) == (True, 1)
 
 
-def test_who_is_not_ready_in_time_is_named_once() -> None:
+def test_late_agent_is_reported_once() -> None:
     plan = LaunchPlan([member("a")])
     plan.start(5.0)
 
     assert plan.deadline_s == 5.0 + READY_S
-    assert told(plan.tick(5.0 + READY_S)) == [("a", "late")]
+    assert events(plan.tick(5.0 + READY_S)) == [("a", "late")]
     assert plan.tick(6.0 + READY_S) == []
     assert plan.deadline_s is None
 
 
-def test_missions_that_wait_begin_once_everybody_is_ready() -> None:
+def test_held_missions_begin_once_all_are_ready() -> None:
     plan = LaunchPlan([member("a", hold=True), member("b"), member("c", hold=True)])
     plan.start(0.0)
 
@@ -239,22 +239,22 @@ def test_missions_that_wait_begin_once_everybody_is_ready() -> None:
     assert done(plan.ready("b", 2.0)) == [BeginMission(("a", "c"))]
 
 
-def test_one_that_was_started_again_begins_by_itself() -> None:
+def test_restarted_agent_begins_its_mission_alone() -> None:
     plan = running(member("a", hold=True), member("b", hold=True))
     assert again(plan, plan.ended("a", 1, 3.0)) == [SpawnProcess("a")]
 
     assert done(plan.ready("a", 4.0)) == [BeginMission(("a",))]
 
 
-def test_a_mission_does_not_begin_without_one_of_the_fleet() -> None:
+def test_mission_does_not_begin_without_all_agents() -> None:
     plan = LaunchPlan([member("a", hold=True), member("b", restart=ProcessRestart("no"))])
     plan.start(0.0)
 
-    assert told(plan.ended("b", 1, 1.0)) == [("b", "given_up"), ("", "held")]
+    assert events(plan.ended("b", 1, 1.0)) == [("b", "given_up"), ("", "held")]
     assert done(plan.ready("a", 2.0)) == []
 
 
-def test_missions_can_be_left_at_0() -> None:
+def test_missions_can_stay_held() -> None:
     plan = LaunchPlan([member("a", hold=True)], begin=False)
     plan.start(0.0)
 

@@ -1,4 +1,4 @@
-"""What a host may answer that is not Pancakes: each has a sentence, and nothing of it is taken for more than it is."""
+"""Malformed answers of a host: each becomes an error with a sentence."""
 
 import sys
 
@@ -26,7 +26,7 @@ for line in sys.stdin:
 
 @pytest.fixture
 def host(tmp_path, monkeypatch):
-    """Makes a connection to a host that answers so; NUMBER stands for that of the request, MARK for the marker."""
+    """Make a connection to a host that answers so; NUMBER stands for that of the request, MARK for the marker."""
     links = []
 
     def make(answer: str) -> HostLink:
@@ -57,13 +57,13 @@ def host(tmp_path, monkeypatch):
     ],
     ids=["number", "fault", "result", "none", "part", "deep", "line"],
 )
-def test_an_answer_that_is_none_is_a_sentence(host, answer, sentence):
+def test_malformed_answer_of_a_host_is_an_error(host, answer, sentence):
     with pytest.raises(PancakesError) as error:
         host(answer).obtain("look", 10.0, HostLook, fleet_of={})
     assert sentence in str(error.value)
 
 
-def test_what_a_shell_prints_is_passed_by_however_odd_it_is(host):
+def test_output_of_the_shell_is_ignored(host):
     shell = "\n".join(["Welcome", DEEP, "9" * 100_000, '"text"', "[1, 2]", "{broken"])
     answer = '{"id": NUMBER, "result": ["wheel"]}'
     assert host(f"{shell}\n{answer.replace('wheel', 'lie')}\nand MARK{answer}\n").obtain(

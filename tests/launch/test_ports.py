@@ -1,4 +1,4 @@
-"""The ports of a fleet where another program has its own."""
+"""The ports of a fleet if other programs use some of them."""
 
 import socket
 import subprocess
@@ -7,7 +7,7 @@ import sys
 from pancakes.tools.launch.ports import NOT_LENT, Claim, claim_ports
 
 
-def test_a_fleet_gets_ports_that_the_system_lends_to_no_dialler():
+def test_free_ports_are_below_the_ephemeral_range():
     with socket.create_server(("127.0.0.1", 0)) as taken:
         tables = {"a": {"agent": {"listen": f"tcp://127.0.0.1:{taken.getsockname()[1]}"}}}
         claim, changes = claim_ports(tables)
@@ -17,7 +17,7 @@ def test_a_fleet_gets_ports_that_the_system_lends_to_no_dialler():
 
 
 def test_ports_are_claimed_across_runtime_directories(tmp_path):
-    """Users of one machine share its ports, and not their runtime directories."""
+    """Users of one machine share its ports, but not their runtime directories."""
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
     claims = f"""

@@ -1,4 +1,4 @@
-"""Processes that a launcher starts, forked and made anew: both are used in the same way."""
+"""Processes that a launcher starts, by a fork server or as new processes: both have the same interface."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from pancakes.tools.launch.process import AgentProcess, ForkServer, end_all
 
 PATIENCE_S = 30.0
 AGENT = f'schema = 1\n[agent]\nname = "a"\nfleet = "started-by-{os.getpid()}"\nstate_dir = ""\n'
-"""No two test runs have agents of one name in one fleet."""
+"""A fleet name that is unique to this test run."""
 Start = Callable[[str], "Started"]
 
 
 class Started:
-    """An agent that was started, and what it says."""
+    """A started agent, and its output."""
 
     def __init__(self, process: AgentProcess, output: int, ready: int) -> None:
         self.process, self.output, self.ready = process, output, ready
@@ -71,7 +71,7 @@ def start(request: pytest.FixtureRequest, tmp_path: Path, server: ForkServer) ->
         os.close(it.ready)
 
 
-def test_it_is_a_child_with_a_session_of_its_own_and_bears_its_command(start: Start) -> None:
+def test_agent_is_a_child_with_its_own_session(start: Start) -> None:
     agent = start(AGENT)
     assert agent.is_ready() and agent.process.poll() is None and agent.process.returncode is None
     found = psutil.Process(agent.process.pid)
@@ -86,7 +86,7 @@ def test_it_is_a_child_with_a_session_of_its_own_and_bears_its_command(start: St
     assert "stopped" in agent.everything()
 
 
-def test_how_it_ends_is_told(start: Start) -> None:
+def test_exit_code_of_an_agent_is_known(start: Start) -> None:
     bad = start("schema = 1\n[agent]\nnam = 1\n")
     assert bad.process.wait(PATIENCE_S) == 4 and "a.toml" in bad.everything()
     killed = start(AGENT)
@@ -95,9 +95,7 @@ def test_how_it_ends_is_told(start: Start) -> None:
     assert killed.process.wait(PATIENCE_S) == -signal.SIGKILL
 
 
-def test_agents_outlive_their_fork_server_and_the_next_one_is_forked_by_another(
-    server: ForkServer, start: Start
-) -> None:
+def test_agents_outlive_their_fork_server(server: ForkServer, start: Start) -> None:
     first = start(AGENT)
     assert first.is_ready()
     for child in psutil.Process().children():
@@ -114,7 +112,7 @@ def test_fork_server_that_ends_at_once_raises_oserror() -> None:
         ForkServer(program="no.such.program").fork([], 1, None)
 
 
-def test_a_fork_server_that_stands_still_is_given_up(server: ForkServer, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_hanging_fork_server_is_given_up(server: ForkServer, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("pancakes.tools.launch.process.ANSWER_S", 2.0)
     with open(os.devnull, "wb") as nothing:
         server.fork(["--version"], nothing.fileno(), None).wait(PATIENCE_S)

@@ -1,4 +1,4 @@
-"""A fleet that takes no port: what is set in its files."""
+"""A fleet that uses no ports: the changes to its files."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def agent(name: str, listen: object, *peers: str, **more: object) -> dict[str, o
     return {"agent": {"name": name, "listen": listen, "peers": list(peers)}, **more}
 
 
-def test_agents_are_found_by_their_names_and_other_places_by_their_ports():
+def test_local_addresses_use_agent_names_or_ports():
     bus = {"device": {"ir": {"settings": {"world": "tcp://127.0.0.1:7410"}}}}
     tables = {
         "world": agent("world", "tcp://127.0.0.1:1", "tcp://127.0.0.1:2", task={"W": {"bus": "tcp://127.0.0.1:7410"}}),
@@ -34,7 +34,7 @@ def test_agents_are_found_by_their_names_and_other_places_by_their_ports():
     }
 
 
-def test_who_listens_on_all_interfaces_is_found_by_its_name_as_well():
+def test_listener_on_all_interfaces_becomes_local():
     tables = {"a": agent("a", "tcp://0.0.0.0:1"), "b": agent("b", [], "tcp://localhost:1")}
     assert within_machine(tables, {"a": "default", "b": "default"})["b"] == [
         "agent.listen=[]",
@@ -42,7 +42,7 @@ def test_who_listens_on_all_interfaces_is_found_by_its_name_as_well():
     ]
 
 
-def test_a_fleet_is_launched_within_its_machine_whatever_is_set_of_its_files(tmp_path: Path):
+def test_local_launch_overrides_set_addresses(tmp_path: Path):
     for name, port in (("a", 1), ("b", 2)):
         text = (
             f'schema = 1\n[agent]\nname = "{name}"\nlisten = "tcp://127.0.0.1:{port}"\npeers = ["tcp://127.0.0.1:1"]\n'
@@ -54,18 +54,18 @@ def test_a_fleet_is_launched_within_its_machine_whatever_is_set_of_its_files(tmp
     assert (b.config.agent.addresses, b.config.agent.peers) == (("local://field/b",), ("local://field/a",))
 
 
-def test_what_is_wrong_with_a_file_is_said_as_ever(tmp_path: Path):
+def test_local_launch_reports_faults_of_files(tmp_path: Path):
     (tmp_path / "a.toml").write_text("schema = 1\n[agent\n")
     with pytest.raises(ConfigError, match=r"a\.toml:2"):
         make_fleet([tmp_path], [], None, Plugins(), local=True)
 
 
-def test_a_file_that_says_of_its_agent_no_table_is_refused_with_a_sentence(tmp_path: Path):
+def test_agent_that_is_not_a_table_is_refused(tmp_path: Path):
     (tmp_path / "a.toml").write_text("schema = 1\nagent = 5\n")
     with pytest.raises(ConfigError, match=r"\[agent\]: expected a table"):
         make_fleet([tmp_path], [], None, Plugins(), local=True)
 
 
-def test_a_demo_in_virtual_time_has_no_network():
+def test_demo_in_virtual_time_has_no_network():
     result = CliRunner().invoke(pancakes, ["demo", "encirclement", "--virtual", "--local"])
-    assert result.exit_code == 2 and "--local does not go with --virtual" in result.output
+    assert result.exit_code == 2 and "--local and --virtual exclude each other" in result.output

@@ -1,4 +1,4 @@
-"""Records tasks in tests, and runs them again."""
+"""Record tasks in tests, and rerun them."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ RECORDER = "log/Recorder"
 
 
 class Again(NamedTuple):
-    """A stay that was run again."""
+    """A stay that was rerun."""
 
     stay: Stay
     script: Script
@@ -31,7 +31,7 @@ class Again(NamedTuple):
 
 @contextmanager
 def recorded(path: Path, *agents: Any) -> Iterator[None]:
-    """Records agents into `path/AGENT.mcap` while the block runs."""
+    """Record agents into `path/AGENT.mcap` while the block runs."""
     for agent in agents:
         reply = agent.ask(Start(RECORDER, {"path": str(path / "{agent}.mcap")}))
         assert reply.ok, reply.reason
@@ -51,7 +51,7 @@ def run_again(
     without: str = "",
     **settings: Any,
 ) -> Again:
-    """Runs the only stay of a task again that fits; `speed`: of the mission, when it was recorded live.
+    """Run the only stay of a task again that fits; `speed`: of the mission, when it was recorded live.
 
     Packets of the type `without` are left out, as if the recording lacked them.
     """

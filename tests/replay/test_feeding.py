@@ -1,4 +1,4 @@
-"""Packets go out at their times, wait for who is slow, and say so."""
+"""Feeding sends packets at their times, waits for slow agents, and reports them."""
 
 import pytest
 
@@ -34,7 +34,7 @@ class Door:
 
 
 class Client:
-    """Has a clock of its own, which goes on where somebody waits, and a little beyond."""
+    """A client with a clock of its own: a wait advances it, by a little more than requested."""
 
     timeout_s = 3.0
 
@@ -77,7 +77,7 @@ def feeder(client, said=None, **agents):
     return Feeder(client, Selection(live), said.append if said is not None else lambda text: None)
 
 
-def test_times_are_counted_from_the_first_packet_so_that_nothing_drifts():
+def test_feeding_does_not_drift():
     client = Client()
     feeding = feeder(client)
     feeding.feed(entries(50), int(50e9), speed=2.0, recorded_speed=1.0)
@@ -92,13 +92,13 @@ def test_times_are_counted_from_the_first_packet_so_that_nothing_drifts():
 
 
 @pytest.mark.parametrize(("recorded_speed", "speed", "last_s"), [(5.0, 5.0, 3.0), (5.0, 1.0, 15.0), (1.0, 5.0, 0.6)])
-def test_a_second_of_the_mission_then_is_a_second_of_the_mission_now(recorded_speed, speed, last_s):
+def test_feeding_keeps_mission_time(recorded_speed, speed, last_s):
     client = Client()
     feeder(client, a=speed).feed(entries(4), int(50e9), speed=1.0, recorded_speed=recorded_speed)
     assert client.door.sent[-1][0] == pytest.approx(100.0 + last_s, abs=0.02)
 
 
-def test_an_agent_that_is_slow_is_waited_for_and_that_is_said_once():
+def test_slow_agent_is_waited_for_and_reported_once():
     client, said = Client(slow_s=2.0), list[str]()
     feeder(client, said).feed(entries(10), int(50e9), speed=1.0, recorded_speed=1.0)
     times = [packet.stamp for _, packet in client.door.sent]
@@ -107,14 +107,14 @@ def test_an_agent_that_is_slow_is_waited_for_and_that_is_said_once():
     assert said == ["a is too slow: the replay waits for it, and is 1.0 s late"]
 
 
-def test_an_agent_that_goes_away_ends_it_with_a_sentence():
+def test_feeding_ends_if_an_agent_goes_away():
     client = Client()
     client.door.there = False
     with pytest.raises(Unreachable, match="after 0 packets: a went away"):
         feeder(client).feed(entries(3), int(50e9), speed=1.0, recorded_speed=1.0)
 
 
-def test_missions_at_different_speeds_are_refused_and_one_that_is_held_has_none():
+def test_missions_at_different_speeds_are_refused():
     with pytest.raises(ControlRefused, match="different speeds: a at 1, b at 5"):
         feeder(Client(), a=1.0, b=5.0).feed(entries(1), int(50e9), speed=1.0, recorded_speed=1.0)
     client = Client()

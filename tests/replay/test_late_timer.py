@@ -1,4 +1,4 @@
-"""Ticks come when the task did something then."""
+"""The late timer delays ticks to the times at which the task published then."""
 
 import pytest
 
@@ -30,29 +30,29 @@ def timer_of(spoken_s, speed=0.0):
     return dispatcher, timer, Target(dispatcher)
 
 
-def test_a_tick_is_held_back_until_the_task_spoke_and_others_are_on_time():
+def test_tick_is_delayed_until_the_task_published():
     dispatcher, timer, target = timer_of([1.2, 2.0, 3.7])
     timer.every(target, 1.0)
     dispatcher.run_until(4.5)
-    # At 3.7 s it was too late for the tick of 3 s: none is held back for longer than half a second.
+    # 3.7 s is too late for the tick of 3 s: no tick is delayed by more than half a second.
     assert target.ticks == [(1.2, 1.0), (2.0, 2.0), (3.0, 3.0), (4.0, 4.0)]
 
 
-def test_it_began_a_moment_before_it_spoke():
+def test_delayed_tick_begins_before_the_publication():
     dispatcher, timer, target = timer_of([1.2], speed=50.0)
     timer.every(target, 1.0)
     dispatcher.run_until(1.5)
     assert target.ticks == [(1.19, 1.0)]
 
 
-def test_it_began_after_whatever_it_had_said_before():
+def test_delayed_tick_begins_after_the_packet_before():
     dispatcher, timer, target = timer_of([(1.2, 1.195)], speed=50.0)
     timer.every(target, 1.0)
     dispatcher.run_until(1.5)
     assert target.ticks == [(1.195, 1.0)]
 
 
-def test_a_timer_that_rests_or_changes_its_rate_does_not_tick_for_what_was_held_back():
+def test_cancelled_timer_drops_its_delayed_tick():
     dispatcher, timer, target = timer_of([1.2, 2.1])
     timer.every(target, 1.0)
     dispatcher.run_until(1.1)
@@ -67,8 +67,8 @@ def test_a_timer_that_rests_or_changes_its_rate_does_not_tick_for_what_was_held_
     assert len(target.ticks) == 1
 
 
-def test_ticks_are_those_that_ran():
-    """As late as they are known to be, and each told how many were missed."""
+def test_only_recorded_ticks_run():
+    """They are as late as recorded, and know how many ticks were missed."""
     dispatcher = VirtualDispatcher()
     ran = RanTicks(1.0, [TickRun(2.0, 1.0, 1, 1), TickRun(5.0, 1.0, 2, 2, 0.75)], complete=True)
     timer = LateTimer("a", MissionClock(dispatcher.clock), dispatcher, [(2.2, 0.0)], 0.0, {"tick": ran})

@@ -1,4 +1,4 @@
-"""Which ticks ran, as a recording tells, and what it leaves open."""
+"""Which ticks ran, as far as a recording contains it."""
 
 import math
 
@@ -37,13 +37,13 @@ def test_late_tick_is_as_late_again():
 
 
 def test_ticks_after_the_last_known_ran():
-    """The recording broke off: only a tick before one that ran is known to be missed."""
+    """The recording was cut off: a tick counts as missed only if a later tick ran."""
     assert missed(ran((0.3, 0.1, 1, 0), (0.6, 0.1, 1, 2), complete=False), 0.2, 0.5, 0.7) == [None, None, 0]
     assert missed(ran(complete=False), 0.1) == [0]
 
 
 def test_ticks_at_another_rate_ran():
-    """The code was changed, so that its ticks are others: there is nothing to leave out."""
+    """The changed code has other ticks, so the recorded misses do not apply."""
     ticks = ran((0.3, 0.1, 3, 0), (0.75, 0.25, 2, 0))
     assert missed(ticks, 0.05, 0.35, 0.45, 1.25, period_s=0.05) == [0] * 4
     assert missed(ticks, 0.2, 0.6, 0.7, 1.1) == [None, None, None, 0]
@@ -52,7 +52,7 @@ def test_ticks_at_another_rate_ran():
     assert missed(ran(), 0.1, period_s=0.2) == [0]
 
 
-def test_tick_of_timer_that_rested_meanwhile_ran():
+def test_tick_of_a_stopped_timer_ran():
     assert missed(ran((0.3, 0.0, 1, 1)), 0.3, 0.4, period_s=0.1) == [1, 0]
 
 
@@ -61,7 +61,7 @@ def stay(end=STOPPED):
     return Stay("a", TaskDescription("a/Me", ME, "x.Me", 0, 0.0, timers=timers), 10 * SECOND, 12 * SECOND, end)
 
 
-def told(time_s, number, first_s=None, address=ME, agent="a"):
+def ticks_message(time_s, number, first_s=None, address=ME, agent="a"):
     runs = () if first_s is None else (TimerTicks(address, "tick", ((first_s, 0.1, 3, 0, 0.0),)),)
     return seen(time_s, TaskTicks(number, runs), agent)
 
@@ -82,15 +82,15 @@ def read(*entries, end=STOPPED):
     return reader.ticks()
 
 
-def test_ticks_of_a_stay_are_told_until_after_its_end():
+def test_ticks_of_a_stay_are_read_past_its_end():
     ticks = read(
         began(1),
-        told(9.5, 1, 0.1),
-        told(10.5, 2, 1.0),
-        told(11, 7, 5.0, agent="b"),
-        told(11.5, 3, 2.0, address="a/client/You"),
-        told(12.5, 4, 3.0),
-        told(13.5, 6, 4.0),
+        ticks_message(9.5, 1, 0.1),
+        ticks_message(10.5, 2, 1.0),
+        ticks_message(11, 7, 5.0, agent="b"),
+        ticks_message(11.5, 3, 2.0, address="a/client/You"),
+        ticks_message(12.5, 4, 3.0),
+        ticks_message(13.5, 6, 4.0),
     )
     assert missed(ticks["tick"], 0.1, 0.9, 1.0, 2.0, 3.0, 3.2, 3.3, 4.0) == [None, None, 0, None, 0, 0, None, None]
     assert missed(ticks["rests"], 1.0, period_s=math.inf) == [None]
@@ -100,23 +100,23 @@ def test_ticks_of_a_stay_are_told_until_after_its_end():
     "entries",
     [
         [],
-        [began(1), told(9.5, 1, 0.1)],
-        [began(1), told(10.5, 1, 1.0), told(11.5, 3, 2.0), told(12.5, 4)],
-        [began(1), told(9.5, 1), told(10.5, 3, 1.0), told(12.5, 4)],
-        [began(1), told(10.5, 2, 1.0), told(12.5, 3)],
+        [began(1), ticks_message(9.5, 1, 0.1)],
+        [began(1), ticks_message(10.5, 1, 1.0), ticks_message(11.5, 3, 2.0), ticks_message(12.5, 4)],
+        [began(1), ticks_message(9.5, 1), ticks_message(10.5, 3, 1.0), ticks_message(12.5, 4)],
+        [began(1), ticks_message(10.5, 2, 1.0), ticks_message(12.5, 3)],
     ],
 )
-def test_ticks_that_are_not_all_told_are_unknown(entries):
-    """None is told in the stay; or a message is missing, in the stay or at its begin."""
+def test_incomplete_ticks_are_unknown(entries):
+    """The stay has no message about ticks; or a message is missing, in the stay or at its beginning."""
     assert read(*entries) is None
 
 
-def test_ticks_of_the_next_recording_are_others():
+def test_ticks_of_the_next_recording_do_not_count():
     """The agent was killed, and its mission time begins again."""
-    first = [began(1), told(10.5, 1, 1.0), told(11.5, 2, 2.0)]
+    first = [began(1), ticks_message(10.5, 1, 1.0), ticks_message(11.5, 2, 2.0)]
     for end in (STOPPED, ""):
-        assert missed(read(*first, began(13), told(14, 1, 0.1), end=end)["tick"], 0.1, 2.3) == [None, 0]
+        assert missed(read(*first, began(13), ticks_message(14, 1, 0.1), end=end)["tick"], 0.1, 2.3) == [None, 0]
 
 
-def test_last_message_of_a_recording_tells_that_no_tick_came_later():
-    assert missed(read(began(1), told(12, 1, 1.0), end="")["tick"], 1.2, 1.3) == [0, None]
+def test_last_ticks_message_makes_ticks_complete():
+    assert missed(read(began(1), ticks_message(12, 1, 1.0), end="")["tick"], 1.2, 1.3) == [0, None]

@@ -1,4 +1,4 @@
-"""Tasks that were recorded are run again: as they were they agree, and what was changed shows."""
+"""Reruns of recorded tasks: an unchanged task agrees with its recording, and changes show."""
 
 import threading
 from dataclasses import dataclass, field
@@ -24,7 +24,7 @@ from pancakes.tools.replay.rerun import class_of
 
 
 class Track(Task):
-    """Sums what it hears, tells the sum in each tick, and answers each pose."""
+    """Sums the values that it receives, publishes the sum in each tick, and answers each pose."""
 
     @dataclass
     class Settings:
@@ -84,7 +84,7 @@ def say(agent, *x_m):
         agent.agent.kernel.virtual.run_until(agent.kernel.host.now() + 0.33)
 
 
-def test_a_task_that_was_seen_to_start_agrees_with_itself_random_numbers_and_all(fleet, tmp_path):
+def test_unchanged_task_agrees_with_its_recording(fleet, tmp_path):
     agent = fleet.start("a", tasks={"Track": {"type": Track, "start": False, "settings": {"gain": 1.5}}})
     fleet.run_for(1.234)
     with recorded(tmp_path, agent):
@@ -101,7 +101,7 @@ def test_a_task_that_was_seen_to_start_agrees_with_itself_random_numbers_and_all
     assert counts["temperature"].equal >= 9
 
 
-def test_a_changed_line_shows_at_the_right_packet_with_field_and_both_values(fleet, tmp_path):
+def test_changed_line_shows_at_the_right_packet(fleet, tmp_path):
     agent = fleet.start("a", tasks={"Track": {"type": Track, "start": False}})
     with recorded(tmp_path, agent):
         agent.ask(Start("Track"))
@@ -117,7 +117,7 @@ def test_a_changed_line_shows_at_the_right_packet_with_field_and_both_values(fle
     assert {it.packet.type for it in steeper.comparison.differences} == {"temperature"}
 
 
-def test_settings_that_are_given_take_the_place_of_the_recorded_ones(fleet, tmp_path):
+def test_given_settings_replace_recorded_ones(fleet, tmp_path):
     agent = fleet.start("a", tasks={"Track": {"type": Track, "start": False}})
     with recorded(tmp_path, agent):
         agent.ask(Start("Track"))
@@ -128,7 +128,7 @@ def test_settings_that_are_given_take_the_place_of_the_recorded_ones(fleet, tmp_
         run_again(tmp_path, "Track", Track, gian=5.0)
 
 
-def test_rates_and_settings_that_were_changed_meanwhile_are_changed_again(fleet, tmp_path):
+def test_recorded_changes_are_repeated(fleet, tmp_path):
     agent = fleet.start("a", tasks={"Track": {"type": Track, "start": False}})
     with recorded(tmp_path, agent):
         agent.ask(Start("Track"))
@@ -151,7 +151,7 @@ def test_rates_and_settings_that_were_changed_meanwhile_are_changed_again(fleet,
     assert [packet.body.cpu for packet in other.outcome.outputs if packet.type == "load"] == [1.0, 2.0, 3.0, 4.0, 5.0]
 
 
-def test_a_task_that_ran_before_the_recording_begins_with_its_state_then(fleet, tmp_path):
+def test_task_from_before_the_recording_begins_with_its_state(fleet, tmp_path):
     agent = fleet.start("a", tasks={"Track": Track})
     say(agent, 1.0, 2.0, 3.0)
     with recorded(tmp_path, agent):
@@ -160,14 +160,14 @@ def test_a_task_that_ran_before_the_recording_begins_with_its_state_then(fleet, 
     again = run_again(tmp_path, "Track", Track)
     assert not again.stay.whole
     assert again.stay.task.state["total"] == 6.0
-    # Its random numbers are others; what does not depend on them agrees, and it does not begin a second time.
+    # Its random numbers differ; everything else agrees, and it does not start a second time.
     wrong = [it.packet.type for it in again.comparison.differences]
     assert set(wrong) == {"temperature"}
     assert {it.fields[0].field for it in again.comparison.differences} == {"celsius"}
     assert again.comparison.streams[StreamKey("ctrl", "load", "")].equal == 2
 
 
-def test_tasks_that_start_with_their_agent_are_seen_to_start(fleet, tmp_path):
+def test_tasks_that_start_with_their_agent_are_whole(fleet, tmp_path):
     agent = fleet.start("a", f'[record]\npath = "{tmp_path}/{{agent}}.mcap"\n', tasks={"Track": Track, "Other": Other})
     say(agent, 1.0, 2.0)
     agent.ask(Stop("log/Recorder"))
@@ -178,7 +178,7 @@ def test_tasks_that_start_with_their_agent_are_seen_to_start(fleet, tmp_path):
         assert again.comparison.streams[StreamKey("ctrl", "load", "")].equal == 2
 
 
-def test_a_restarted_task_begins_with_what_it_carried_whatever_became_of_that(fleet, tmp_path):
+def test_restarted_task_begins_with_its_carried_state(fleet, tmp_path):
     agent = fleet.start("a", tasks={"Track": {"type": Track, "start": False}})
     with recorded(tmp_path, agent):
         agent.ask(Start("Track"))
@@ -200,7 +200,7 @@ def test_a_restarted_task_begins_with_what_it_carried_whatever_became_of_that(fl
     assert end.fields == {"total": 6.0, "heard": 3}
 
 
-def test_each_stay_of_a_task_that_moves_is_one_of_its_own(fleet, tmp_path):
+def test_each_stay_of_a_migrating_task_is_rerun(fleet, tmp_path):
     a, b = fleet.start("a", tasks={"Track": Track}), fleet.start("b")
     fleet.connect()
     with recorded(tmp_path, a, b):
@@ -218,7 +218,7 @@ def test_each_stay_of_a_task_that_moves_is_one_of_its_own(fleet, tmp_path):
 
 
 class Asks(Task):
-    """Asks its agent what it runs, and says how many tasks that are. `twice`: with an answer too many before."""
+    """Asks its agent for its tasks, and publishes their number. `twice`: asks another question before."""
 
     @dataclass
     class Settings:
@@ -234,12 +234,12 @@ class Asks(Task):
         self._asked.add(self.publish("sysctrl", Describe("client/")).seq)
 
     @on("sysctrl", Reply, addressed=True)
-    def told(self, packet):
+    def take(self, packet):
         if packet.cause[1] in self._asked:
             self.publish("system", Load(float(len(packet.body.result))))
 
 
-def test_answers_find_the_question_also_where_it_has_another_number_now(fleet, tmp_path):
+def test_answers_are_matched_to_renumbered_questions(fleet, tmp_path):
     agent = fleet.start("a", tasks={"Asks": {"type": Asks, "start": False}})
     with recorded(tmp_path, agent):
         agent.ask(Start("Asks"))
@@ -251,7 +251,7 @@ def test_answers_find_the_question_also_where_it_has_another_number_now(fleet, t
 
 
 class Hears(Task):
-    """Says again what it is told by letter."""
+    """Publishes the letters that it gets."""
 
     @on("system", Load, addressed=True)
     def heard(self, packet):
@@ -259,7 +259,7 @@ class Hears(Task):
 
 
 class Writes(Task):
-    """Writes to a task, wherever it is."""
+    """Writes letters to a task, on any agent."""
 
     @every(hz=4)
     def write(self, tick):
@@ -275,7 +275,7 @@ class WritesToA(Writes):
 
 
 @pytest.mark.parametrize("writer", ["a", "b"])
-def test_packets_to_a_task_wherever_it_is_are_inputs_too_each_once(fleet, tmp_path, writer):
+def test_letters_are_inputs_once_each(fleet, tmp_path, writer):
     a, b = fleet.start("a"), fleet.start("b", tasks={"Hears": {"type": Hears, "start": False}})
     fleet.connect()
     with recorded(tmp_path, a, b):
@@ -287,7 +287,7 @@ def test_packets_to_a_task_wherever_it_is_are_inputs_too_each_once(fleet, tmp_pa
     assert again.comparison.differences == []
 
 
-def test_a_recording_of_one_task_alone_is_enough(fleet, tmp_path):
+def test_recording_of_one_task_can_be_rerun(fleet, tmp_path):
     a, b = fleet.start("a", tasks={"Hears": {"type": Hears, "start": False}}), fleet.start("b")
     fleet.connect()
     for agent in (a, b):
@@ -309,7 +309,7 @@ def test_a_recording_of_one_task_alone_is_enough(fleet, tmp_path):
 
 
 class Newest(Task):
-    """Wants the newest pose only."""
+    """Wants only the newest pose."""
 
     @on("system", Pose, keep="latest")
     def pose(self, packet):
@@ -350,7 +350,7 @@ class Mended(Fails):
         return True
 
 
-def test_a_failure_is_found_again_and_is_gone_where_it_was_mended(fleet, tmp_path):
+def test_failure_is_repeated_until_fixed(fleet, tmp_path):
     agent = fleet.start("a", tasks={"Fails": {"type": Fails, "start": False}})
     with recorded(tmp_path, agent):
         agent.ask(Start("Fails"))
@@ -362,12 +362,12 @@ def test_a_failure_is_found_again_and_is_gone_where_it_was_mended(fleet, tmp_pat
     assert again.outcome.failed == stays[0].reason
     mended = run_again(tmp_path, "Fails", Mended, number=1)
     assert mended.outcome.failed == ""
-    # The pose that it failed at has an answer now.
+    # Now it answers the pose at which it failed then.
     assert mended.kinds == ["extra"]
     assert run_again(tmp_path, "Fails", Fails, number=2).comparison.differences == []
 
 
-def test_two_recordings_of_one_run_are_two_stays_and_nothing_is_missed_between_them(fleet, tmp_path):
+def test_two_recordings_of_one_run_are_two_stays(fleet, tmp_path):
     agent = fleet.start("a", tasks={"Track": Track})
     with recorded(tmp_path, agent):
         fleet.run_for(0.05)
@@ -382,7 +382,7 @@ def test_two_recordings_of_one_run_are_two_stays_and_nothing_is_missed_between_t
         assert set(again.kinds) <= {"different"}  # the random numbers
 
 
-def test_a_state_that_fits_no_more_and_a_class_that_is_gone_are_sentences(fleet, tmp_path):
+def test_unfit_state_and_missing_class_are_errors(fleet, tmp_path):
     agent = fleet.start("a", tasks={"Track": Track})
     say(agent, 1.0)
     with recorded(tmp_path, agent):
@@ -408,7 +408,7 @@ def wait_for(agent: AgentHandle, cls: type, count: int) -> None:
 
 
 def test_rerun_of_task_on_threads_agrees(tmp_path):
-    """However slow the host is: a tick may be missed, or be due while the task starts or ends."""
+    """Even on a slow host, where a tick may be missed, or due while the task starts or ends."""
     with threaded_agent("a", tasks={"Track": {"type": Track, "start": False}}) as agent:
         with recorded(tmp_path, agent):
             agent.ask(Start("Track"))
@@ -426,7 +426,7 @@ def test_rerun_of_task_on_threads_agrees(tmp_path):
 
 
 class Dawdles(Track):
-    """Has ticks of 10 Hz become due while it starts, handles a pose, and ends; live only. Tells how many it missed."""
+    """Is so slow to start, handle a pose and end that ticks of 10 Hz become due; live only. Counts missed ticks."""
 
     def dawdle(self):
         if self._actor.kernel.virtual is None:
@@ -452,7 +452,7 @@ class Dawdles(Track):
 
 @pytest.mark.parametrize("stops", [True, False])
 def test_rerun_leaves_out_missed_ticks(tmp_path, stops):
-    """Whether the task ends before the recording does, or goes on."""
+    """Both if the task ends before the recording, and if it runs on."""
     with threaded_agent("a", tasks={"Dawdles": {"type": Dawdles, "start": False}}) as agent:
         with recorded(tmp_path, agent):
             agent.ask(Start("Dawdles"))
@@ -463,15 +463,15 @@ def test_rerun_leaves_out_missed_ticks(tmp_path, stops):
             if stops:
                 agent.ask(Stop("Dawdles"))
     again = run_again(tmp_path, "Dawdles", Dawdles, live=True)
-    told = again.comparison.streams[StreamKey("system", "temperature", "")]
+    counts = again.comparison.streams[StreamKey("system", "temperature", "")]
     assert max(packet.body.celsius % 10.0 for packet in again.outcome.outputs if packet.type == "temperature") >= 2.0
     assert (again.kinds, again.script.notes, again.stay.end) == ([], [], "stopped" if stops else "")
-    assert told.equal == told.recorded >= 3
+    assert counts.equal == counts.recorded >= 3
     older = run_again(tmp_path, "Dawdles", Dawdles, live=True, without="task_ticks")
     assert "extra" in older.kinds and older.script.notes == [UNKNOWN_TICKS]
 
 
-def test_a_task_of_a_recording_that_went_on_after_a_kill_is_run_again_life_by_life(tmp_path, monkeypatch):
+def test_stays_before_and_after_a_kill_are_rerun(tmp_path, monkeypatch):
     made = made_files(monkeypatch)
     with Fleet() as fleet:
         agent = fleet.start("a", tasks={"Track": {"type": Track, "durability": "each"}})
@@ -512,7 +512,7 @@ class Weighs(Task):
         self.publish("ctrl", Load(float(self.settings.gains.sum() * self.state.grid.sum())))
 
 
-def test_a_task_runs_again_from_the_arrays_that_it_had(fleet, tmp_path):
+def test_rerun_restores_arrays(fleet, tmp_path):
     agent = fleet.start("a", tasks={"Weighs": {"type": Weighs, "settings": {"gains": [1, 2]}}})
     say(agent, 1.0, 1.0)
     assert agent.ask(Configure("Weighs", {"gains": np.array([2.0, 3.0])})).ok

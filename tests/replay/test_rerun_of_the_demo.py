@@ -35,7 +35,7 @@ def mission(tmp_path_factory):
     return out / "recording"
 
 
-def test_as_it_is_every_task_of_the_robot_agrees_with_the_recording(mission):
+def test_unchanged_robot_tasks_agree_with_the_recording(mission):
     again = run_again(mission, "ScanTarget", scan_target.ScanTarget)
     assert again.comparison.differences == []
     assert again.comparison.streams[StreamKey("ctrl", "motors", "")].equal > 150
@@ -46,7 +46,7 @@ def test_as_it_is_every_task_of_the_robot_agrees_with_the_recording(mission):
     assert run_again(mission, "MotionDetection", MotionDetection).comparison.differences == []
 
 
-def test_one_changed_line_shows_where_it_begins_to_matter(mission):
+def test_changed_line_of_the_demo_shows_its_first_effect(mission):
     from pancakes_encirclement.scan_target import ScanTarget
 
     class Slower(ScanTarget):
@@ -66,7 +66,7 @@ def test_one_changed_line_shows_where_it_begins_to_matter(mission):
     assert counts.different == len(again.kinds) > 20
 
 
-def test_another_radius_shows_from_the_first_command_on(mission):
+def test_another_radius_shows_from_the_first_command(mission):
     again = run_again(mission, "ScanTarget", scan_target.ScanTarget, radius_m=0.8)
     counts = again.comparison.streams[StreamKey("ctrl", "motors", "")]
     assert (counts.equal, counts.different) == (0, counts.recorded)

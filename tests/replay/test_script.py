@@ -1,4 +1,4 @@
-"""What a task got and when it handled it, as far as a recording tells."""
+"""The packets that a task got and when it handled them, as far as a recording contains it."""
 
 import pytest
 from msgspec.structs import replace
@@ -24,10 +24,10 @@ class Me(Task):
 
 def described(time_s, began=True):
     began_with = {"time_ns": EPOCH_NS, "mission_s": 5.0, "settings": {}, "state": {}, "periods_s": {}, "rate_hz": None}
-    told = TaskDescription(
+    description = TaskDescription(
         "a/Me", ME, "x.Me", 0, 5.0 + time_s, time_ns=at(time_s), began=began_with if began else None
     )  # fmt: skip
-    return seen(time_s, told, "a/log/Recorder", channel="recording")
+    return seen(time_s, description, "a/log/Recorder", channel="recording")
 
 
 def at(time_s):
@@ -57,27 +57,27 @@ def answer(time_s, to_seq, seq=1, source="a/device/pose"):
     return seen(time_s, Load(1.0), ME, channel="ctrl", cause=(source, to_seq), seq=seq)
 
 
-def test_a_packet_is_handled_when_its_effect_was_published_and_else_when_it_came():
+def test_packet_is_handled_when_its_effect_was_published():
     made = script([pose(1.0, 1), answer(1.25, 1), pose(2.0, 2)])
     assert given(made) == [(6.25, 1), (7.0, 2)]
     assert [packet.cause for packet in made.outputs] == [("a/device/pose", 1)]
     assert made.end_s == pytest.approx(7.0, abs=1e-6)
 
 
-def test_what_came_while_the_task_was_busy_is_overtaken_by_what_is_newer():
-    # Busy with 1 until 1.5 s; 2 waited and was replaced by 3.
+def test_newer_packet_replaces_one_that_waited():
+    # The task was busy with 1 until 1.5 s; 2 waited and was replaced by 3.
     made = script([pose(1.0, 1), pose(1.1, 2), pose(1.2, 3), answer(1.5, 1), answer(1.6, 3, 2)])
     assert given(made) == [(6.5, 1), (6.6, 3)]
     assert made.superseded == 1
 
 
-def test_a_longer_queue_loses_only_what_does_not_fit():
+def test_longer_queue_drops_only_the_excess():
     loads = [seen(1.0 + n / 10, Load(0.0), "a/device/load", seq=n) for n in range(1, 5)]
     made = script([pose(1.0, 9), *loads, answer(2.0, 9)])
     assert [seq for _, seq in given(made)] == [9, 3, 4]
 
 
-def test_of_two_at_once_from_one_source_the_second_may_have_taken_the_place_of_the_first():
+def test_second_of_two_simultaneous_packets_may_replace_the_first():
     twice = [pose(1.0, 1), pose(1.0001, 2), answer(1.001, 2)]
     assert [seq for _, seq in given(script(twice))] == [2]
     assert [seq for _, seq in given(script([*twice, answer(1.0005, 1, 9)]))] == [1, 2]
@@ -92,13 +92,13 @@ def test_of_two_at_once_from_one_source_the_second_may_have_taken_the_place_of_t
     assert [seq for _, seq in given(script(two_sources))] == [1, 2]
 
 
-def test_the_time_of_a_foreign_packet_is_reckoned_with_the_speed_of_the_mission():
+def test_time_of_a_foreign_packet_uses_the_mission_speed():
     own = pose(1.0, 1, speed=4.0)
     foreign = pose(2.0, 2, source="b/client/Talk", stamp=777.0)
     assert given(script([own, foreign], speed=4.0)) == [(9.0, 1), (13.0, 2)]
 
 
-def test_only_what_is_for_the_task_and_what_its_service_says_of_it_counts():
+def test_only_packets_of_the_task_are_in_the_script():
     entries = [
         pose(1.0, 1, to="a/device/pose"),
         pose(1.1, 2, to="a/client"),
@@ -118,7 +118,7 @@ def test_only_what_is_for_the_task_and_what_its_service_says_of_it_counts():
     assert made.end_s == pytest.approx(7.1)
 
 
-def test_what_came_in_the_moment_of_the_end_came_too_late():
+def test_packet_at_the_end_came_too_late():
     ended = seen(2.0, Event("task_stopped", {"task": "Me"}), "a/client", channel="log")
     entries = [pose(1.0, 1), pose(1.98, 2), ended]
     assert [seq for _, seq in given(script(entries))] == [1]
@@ -127,13 +127,13 @@ def test_what_came_in_the_moment_of_the_end_came_too_late():
     assert [seq for _, seq in given(script(entries, virtual=True))] == [1, 2]
 
 
-def test_an_effect_of_what_came_before_the_recording_is_not_missed():
+def test_effect_of_an_earlier_packet_is_not_missed():
     made = script([pose(0.005, 1), answer(0.02, 1), pose(1.0, 2), answer(1.1, 2, 2)], began=False)
     assert given(made) == [(6.1, 2)]
     assert [packet.seq for packet in made.outputs] == [2]
 
 
-def test_a_mission_that_was_held_counts_from_when_it_began():
+def test_held_mission_counts_from_its_beginning():
     early = [pose(1.0, 1, stamp=0.0), pose(2.0, 2, source="b/client/Talk")]
     late = [pose(4.0, 3, stamp=1.0), pose(5.0, 4, source="b/client/Talk", stamp=99.0)]
     entries = [described(0.01), *early, *late]
@@ -143,7 +143,7 @@ def test_a_mission_that_was_held_counts_from_when_it_began():
     assert given(read_script(entries, stay, Me, 1.0)) == [(0.0, 1), (0.0, 2), (1.0, 3), (2.0, 4)]
 
 
-def test_of_what_happened_at_the_moment_of_its_start_only_what_came_after_it_counts():
+def test_entries_before_a_simultaneous_start_do_not_count():
     started = seen(0.0, Event("task_started", {"task": "Me"}), "a/client", channel="log")
     other = seen(0.0, Event("task_started", {"task": "You"}), "a/client", channel="log")
     assert [seq for _, seq in given(script([pose(0.0, 1), other, pose(0.0, 2), started, pose(0.0, 3)]))] == [3]

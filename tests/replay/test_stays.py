@@ -1,4 +1,4 @@
-"""Where tasks were, and how they are named."""
+"""Finding the stays of tasks in a recording, and choosing a task by name."""
 
 import pytest
 
@@ -16,8 +16,8 @@ def described(time_ns, address, task_id=None, began_ns=None):
     agent, _, name = address.split("/")
     began = {"time_ns": began_ns, "mission_s": 1.0} if began_ns is not None else None
     task_id = f"{agent}/{name}" if task_id is None else task_id
-    told = TaskDescription(task_id, address, "x.X", 0, 2.0, time_ns=time_ns, began=began)
-    return seen(time_ns + 5, agent, told, f"{agent}/log/Recorder", "recording")
+    description = TaskDescription(task_id, address, "x.X", 0, 2.0, time_ns=time_ns, began=began)
+    return seen(time_ns + 5, agent, description, f"{agent}/log/Recorder", "recording")
 
 
 def event(time_ns, kind, address, **fields):
@@ -29,7 +29,7 @@ def stays(*entries):
     return [(it.task.address, it.from_ns, it.to_ns, it.end, it.whole) for it in find_stays(entries)]
 
 
-def test_a_stay_ends_with_its_task_with_the_next_or_with_the_recording():
+def test_stay_ends_with_task_restart_or_recording():
     assert stays(
         described(100, "a/client/X", began_ns=90),
         described(110, "a/client/Y"),
@@ -47,7 +47,7 @@ def test_a_stay_ends_with_its_task_with_the_next_or_with_the_recording():
     ]
 
 
-def test_what_another_agent_does_ends_no_stay():
+def test_stay_ignores_other_agents():
     found = stays(
         described(100, "a/client/X"),
         event(150, "task_stopped", "b/client/X"),
@@ -56,7 +56,7 @@ def test_what_another_agent_does_ends_no_stay():
     assert found == [("a/client/X", 100, 160, "", False)]
 
 
-def test_between_two_recordings_nothing_is_known():
+def test_stay_ends_between_two_recordings():
     started = Event("recording_started", {"path": "r-2.mcap"})
     found = stays(
         described(100, "a/client/X"),
@@ -67,7 +67,7 @@ def test_between_two_recordings_nothing_is_known():
     assert found == [("a/client/X", 100, 150, "", False), ("a/client/X", 910, 915, "", False)]
 
 
-def test_a_task_is_named_by_identity_address_or_name_where_that_is_plain():
+def test_task_is_chosen_by_identity_address_or_name():
     found = find_stays(
         [
             described(1, "a/client/X"),

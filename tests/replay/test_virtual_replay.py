@@ -1,4 +1,4 @@
-"""A recording is fed into agents in virtual time."""
+"""Feeding a recording into agents in virtual time."""
 
 from dataclasses import dataclass
 
@@ -80,7 +80,7 @@ def replayed(walk, out, scale=1.0, **selection):
         return fleet.tally
 
 
-def test_a_task_gets_the_readings_of_a_robot_that_is_not_there_at_their_times(walk, tmp_path):
+def test_replayed_readings_reach_a_task_at_their_times(walk, tmp_path):
     poses = [entry.packet for entry in RecordingReader(walk).entries() if entry.packet.type == "pose"]
     assert replayed(walk, tmp_path / "out").fed() == len(poses) >= 14
     found = answers(tmp_path / "out")
@@ -89,7 +89,7 @@ def test_a_task_gets_the_readings_of_a_robot_that_is_not_there_at_their_times(wa
     assert gaps == pytest.approx([0.2] * len(gaps), abs=1e-6)
 
 
-def test_twice_as_fast_is_half_the_time_and_the_same_seed_the_same_result(walk, tmp_path):
+def test_virtual_replay_scales_and_is_reproducible(walk, tmp_path):
     for name in ("one", "two"):
         replayed(walk, tmp_path / name, scale=0.5)
     one, two = answers(tmp_path / "one"), answers(tmp_path / "two")
@@ -97,6 +97,6 @@ def test_twice_as_fast_is_half_the_time_and_the_same_seed_the_same_result(walk, 
     assert one[-1][1] - one[0][1] == pytest.approx(0.1 * (len(one) - 1), abs=1e-6)
 
 
-def test_two_agents_of_one_name_are_refused(tmp_path):
+def test_virtual_replay_refuses_two_agents_of_one_name(tmp_path):
     with pytest.raises(ConfigError, match="two of the agents are called 'a'"):
         VirtualReplay([parse(CONFIG, "a.toml")] * 2, tmp_path, registered({}))

@@ -1,4 +1,4 @@
-"""A command to an actuator, for tests of what a report tells of them."""
+"""Commands to an actuator, for the tests of reports."""
 
 from pancakes.devices import Twist
 from pancakes.packet import Packet

@@ -1,4 +1,4 @@
-"""What a report finds in a recording: packets in, plain data out; nothing is drawn."""
+"""The findings of a report: packets in, plain data out; nothing is drawn."""
 
 import sys
 from itertools import pairwise
@@ -21,7 +21,7 @@ SCAN = "a/Scan"
 
 
 class Book:
-    """Writes down what was seen, in the order of time."""
+    """Builds a recording, in the order of time."""
 
     def __init__(self):
         self.entries = []
@@ -50,7 +50,7 @@ def book():
 
 
 def move(book, at_s=10.0):
-    """Scan runs on a, is frozen, and runs on b."""
+    """Record that Scan runs on a, is paused, and runs on b."""
     book.event(1.0, "a", "task_started", task="Scan", service="client", epoch=0)
     book.see(at_s - 0.1, "a", "a/client/Scan", Twist(0.1, 0.0), "motors", "ctrl", fence=Fence(SCAN, (0, "a")))
     book.event(at_s, "a", "task_frozen", task="Scan", offer=1)
@@ -61,13 +61,13 @@ def move(book, at_s=10.0):
         {"peer": "b", "answer": "bid", "fate": "won", "cost": 1.0, "terms": {}, "reason": ""},
         {"peer": "c", "answer": "refused", "fate": "refused", "cost": None, "terms": {}, "reason": "lacks motors"},
     ]
-    told = {"task": "Scan", "task_id": SCAN, "source": "a", "asked_by": "rule", "cost": "tasks", "outcome": "moved"}
-    book.event(at_s + 0.05, "a", "migration", **told, winner="b", lines=lines, duration_s=0.5, offer="1@a")
+    ledger = {"task": "Scan", "task_id": SCAN, "source": "a", "asked_by": "rule", "cost": "tasks", "outcome": "moved"}
+    book.event(at_s + 0.05, "a", "migration", **ledger, winner="b", lines=lines, duration_s=0.5, offer="1@a")
     book.see(20.0, "b", "b/client/Scan", Twist(0.1, 0.0), "motors", "ctrl", fence=Fence(SCAN, (1, "a")))
     book.event(20.5, "a", "tick")
 
 
-def test_who_ran_what_follows_a_task_over_agents(book):
+def test_timeline_follows_a_task_over_agents(book):
     move(book)
     lanes = book.find().timeline.lanes
     (on_a,) = lanes["a", "client", "Scan"].spans
@@ -77,7 +77,7 @@ def test_who_ran_what_follows_a_task_over_agents(book):
     assert on_b.to_s == pytest.approx(20.0)  # b was last seen then
 
 
-def test_an_agent_that_was_gone_for_a_while_ran_nothing_meanwhile(book):
+def test_timeline_has_a_gap_while_an_agent_is_gone(book):
     def figures(t_s, mission_s, ticks):
         timer = TimerFigures("tick", 10.0, ticks, 0, 0.0, 0.0)
         body = TaskFigures(mission_s, (OneTask("client/Scan", SCAN, 1, 0, 0, (timer,)),))
@@ -86,7 +86,7 @@ def test_an_agent_that_was_gone_for_a_while_ran_nothing_meanwhile(book):
     book.event(1.0, "a", "task_started", task="Scan", service="client", epoch=0)
     figures(2.0, 2.0, 10)
     figures(3.0, 3.0, 20)
-    # Killed here; its mission time begins anew.
+    # The agent is killed here; its mission time begins at 0 again.
     body = Event("recording_started", {"path": "a.mcap"})
     book.see(9.0, "a", "a/log/Recorder", body, "event", "log")
     book.event(9.5, "a", "task_started", task="Scan", service="client", epoch=0)
@@ -100,7 +100,7 @@ def test_an_agent_that_was_gone_for_a_while_ran_nothing_meanwhile(book):
     assert timer.at[0].achieved_hz is None or timer.at[0].achieved_hz == pytest.approx(10.0)
 
 
-def test_all_is_told_in_mission_time(book):
+def test_findings_are_in_mission_time(book):
     move(book)
     book.entries.sort(key=lambda entry: entry.time_ns)
     findings = Findings.of(book.entries, "", MissionTime(zero_ns=int(0.5 * S), speed=2.0))
@@ -109,7 +109,7 @@ def test_all_is_told_in_mission_time(book):
     assert findings.moves.moves[0].at_s == pytest.approx(2 * 9.55)
 
 
-def test_a_task_that_ran_before_the_recording_is_known_by_what_it_publishes(book):
+def test_task_from_before_the_recording_is_found(book):
     book.see(5.0, "a", "a/client/Share", Pose(0.0, 0.0, 0.0), "pose", fence=Fence("a/Share", (2, "b")))
     book.see(6.0, "a", "a/device/ir", Pose(0.0, 0.0, 0.0), "pose", fence=Fence("a/ir", (0, "a")))
     book.see(9.0, "a", "a/client/Share", Pose(0.0, 0.0, 0.0), "pose", fence=Fence("a/Share", (2, "b")))
@@ -117,7 +117,7 @@ def test_a_task_that_ran_before_the_recording_is_known_by_what_it_publishes(book
     assert (lane.task_id, lane.spans[0].to_s, lane.spans[0].epoch) == ("a/Share", 9.0, 2)
 
 
-def test_a_move_has_its_ledger_and_the_times_of_its_parts(book):
+def test_migration_has_its_ledger_and_times(book):
     move(book)
     (found,) = book.find().moves.moves
     assert found.goes(SCAN, "a", "b") and found.ledger.outcome == "moved"
@@ -129,7 +129,7 @@ def test_a_move_has_its_ledger_and_the_times_of_its_parts(book):
     assert found.silence_s == pytest.approx(0.2)
 
 
-def test_a_move_whose_end_is_seen_before_its_account_or_after_it_is_the_same(book):
+def test_migration_is_found_in_either_order(book):
     move(book)
     late = next(entry for entry in book.entries if entry.packet.source == "b/client")
     book.entries.remove(late)
@@ -138,7 +138,7 @@ def test_a_move_whose_end_is_seen_before_its_account_or_after_it_is_the_same(boo
     assert found.started_s - found.frozen_s == pytest.approx(0.08)
 
 
-def test_paths_come_from_the_world_from_poses_and_from_who_commands(book):
+def test_paths_come_from_world_poses_and_commands(book):
     for t_s in (0.0, 1.0, 2.0):
         robot = BodyState("a", "robot", t_s, 0.0, 0.0, 0.1, 0.0)
         book.see(t_s, "world", "world/client/World", WorldState(t_s, (robot,)), "world_state")
@@ -155,7 +155,7 @@ def test_paths_come_from_the_world_from_poses_and_from_who_commands(book):
     assert [(it.task, it.from_s) for it in paths.commands["a"]] == [("Scan", 0.5), ("GoHome", 1.5)]
 
 
-def test_batteries_are_those_of_the_agents_own(book):
+def test_batteries_are_of_own_devices(book):
     book.see(0.0, "a", "a/device/battery", Battery(7.0, 0.9), "battery")
     book.see(1.0, "b", "a/device/battery", Battery(7.0, 0.9), "battery")
     assert list(book.find().paths.batteries) == ["a"]
@@ -171,7 +171,7 @@ def sample(book, t_s, body):
     book.see(t_s, "a", "a/log/Recorder", body, "task_figures", "recording")
 
 
-def test_rates_lateness_and_drops_come_from_what_the_recorder_sampled(book):
+def test_rates_lateness_and_drops_come_from_samples(book):
     sample(book, 0.0, figures(100.0, 1000, 5.0, dropped=2))
     sample(book, 1.0, figures(105.0, 1045, 5.9, missed=5, dropped=6))
     sample(book, 2.0, figures(110.0, 1095, 6.4, missed=5, dropped=6))
@@ -187,18 +187,18 @@ def test_rates_lateness_and_drops_come_from_what_the_recorder_sampled(book):
     assert (rates.undelivered["a"], rates.dead_letters["a"]) == (4, 5)
 
 
-def test_a_task_that_was_restarted_or_got_another_rate_is_not_counted_backwards(book):
+def test_restart_or_new_rate_counts_from_zero(book):
     sample(book, 0.0, figures(0.0, 100, 1.0))
     sample(book, 1.0, figures(1.0, 5, 0.05, incarnation=2))
     sample(book, 2.0, figures(2.0, 9, 0.09, rate_hz=2.0, incarnation=2))
     sample(book, 3.0, figures(4.0, 13, 0.13, rate_hz=2.0, incarnation=2))
     (timer,) = book.find().rates.timers.values()
     assert timer.ticks == 13
-    # Of a second in which it was restarted, or its rate changed, nobody knows what rate was achieved.
+    # The achieved rate is unknown for a second with a restart or a change of rate.
     assert [(at.asked_hz, at.ticks, at.achieved_hz) for at in timer.at] == [(2.0, 4, 2.0)]
 
 
-def test_what_travels_counts_where_it_arrives_or_where_it_leaves_if_nobody_listened_there(book):
+def test_traffic_counts_at_the_receiver_or_sender(book):
     to_b = book.see(0.0, "a", "a/client/T", Pose(0.0, 0.0, 0.0), "pose", to="b")
     book.arrive(0.01, "b", to_b)
     book.see(0.1, "a", "a/client/T", Pose(0.0, 0.0, 0.0), "pose", to="elsewhere/client/X")
@@ -212,13 +212,13 @@ def test_what_travels_counts_where_it_arrives_or_where_it_leaves_if_nobody_liste
     assert traffic.channels.packets.total("system") == 3
 
 
-def test_one_agent_alone_tells_what_it_sends_to_its_neighbours(book):
+def test_traffic_of_a_single_recorded_agent(book):
     book.see(0.2, "a", "a/client/T", Pose(0.0, 0.0, 0.0), "pose", to="*")
     assert book.find().traffic.links.names() == ["a → *"]
 
 
 def react(book, t_s, late_s):
-    """A pose comes from the world and is answered by a command."""
+    """Record a pose from the world, and a command in answer to it."""
     seen = book.see(t_s, "world", "world/client/Mocap", Pose(0.0, 0.0, 0.0), "pose", to="a")
     book.arrive(t_s + 0.004, "a", seen)
     cause = (seen.source, seen.seq)
@@ -228,7 +228,7 @@ def react(book, t_s, late_s):
     book.see(t_s + 0.005 + late_s, "a", "a/client/Scan", body, "motors", "ctrl", cause=cause, fence=fence)
 
 
-def test_commands_are_led_back_to_their_first_cause_with_the_time_of_each_step(book):
+def test_commands_have_chains_with_times(book):
     for number in range(100):
         react(book, float(number), 0.001 * (number + 1))
     book.see(200.0, "a", "a/client/Scan", Twist(0.0, 0.0), "motors", "ctrl")
@@ -243,7 +243,7 @@ def test_commands_are_led_back_to_their_first_cause_with_the_time_of_each_step(b
     assert reaction.latency_s.quantile(0.99) == pytest.approx(0.105)
 
 
-def test_a_report_on_one_task_leaves_out_all_others(book):
+def test_report_on_one_task_leaves_out_others(book):
     move(book)
     react(book, 30.0, 0.001)
     book.see(31.0, "a", "a/client/Other", Twist(0.0, 0.0), "motors", "ctrl", fence=Fence("a/Other", (0, "a")))
@@ -254,7 +254,7 @@ def test_a_report_on_one_task_leaves_out_all_others(book):
     assert book.find("a/Other").moves.moves == []
 
 
-def test_warnings_and_failures_are_told_once_each_with_how_often(book):
+def test_digest_counts_equal_entries(book):
     for t_s in (1.0, 2.0, 3.0):
         book.see(t_s, "a", "a/client/T", LogLine("warning", "slow"), "line", "log")
     book.see(1.5, "a", "a/client/T", LogLine("info", "nothing"), "line", "log")
@@ -268,7 +268,7 @@ def test_warnings_and_failures_are_told_once_each_with_how_often(book):
     assert [(it.kind, it.text) for it in said.events] == [("revolution", "count 3")]
 
 
-def test_a_packet_that_is_not_what_its_name_says_is_counted_and_the_rest_is_told(book):
+def test_malformed_packet_is_counted_and_skipped(book):
     book.see(0.0, "a", "a/device/battery", {"volts": 7}, "battery")
     book.see(1.0, "a", "a/device/battery", Battery(7.0, 0.5), "battery")
     found = book.find()
@@ -276,13 +276,13 @@ def test_a_packet_that_is_not_what_its_name_says_is_counted_and_the_rest_is_told
     assert found.paths.batteries["a"].last == (1.0, 0.5)
 
 
-def test_nothing_is_drawn_and_no_matplotlib_is_needed_to_find_all_this(book, monkeypatch):
+def test_findings_need_no_matplotlib(book, monkeypatch):
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     move(book)
     assert book.find().plain()["moves"][0]["winner"] == "b"
 
 
-def test_long_series_keep_their_course_in_bounded_memory():
+def test_long_time_series_is_thinned():
     series = TimeSeries()
     for number in range(50_000):
         series.add(float(number), number)
@@ -292,7 +292,7 @@ def test_long_series_keep_their_course_in_bounded_memory():
     assert len(gaps) == 1  # thinned out evenly
 
 
-def test_counts_keep_their_sum_when_their_slots_grow():
+def test_counts_keep_their_sum_with_longer_slots():
     counts = Counts()
     for second in range(10 * MOST_SLOTS):
         counts.add(float(second), "x", 2.0)
@@ -301,7 +301,7 @@ def test_counts_keep_their_sum_when_their_slots_grow():
     assert {rate for _, rate in counts.rates("x", 10.0 * MOST_SLOTS)} == {2.0}
 
 
-def test_a_large_sample_keeps_its_distribution():
+def test_large_sample_keeps_its_distribution():
     sample = Distribution()
     for number in range(100_000):
         sample.add(float(number % 1000))

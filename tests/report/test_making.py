@@ -37,7 +37,7 @@ MIGRATION = {
 
 
 def mission(agent):
-    """What a recorder of one of two robots sees: Scan drives `a` for 30 s, then `b`."""
+    """Return the recording of one of two robots: Scan drives `a` for 30 s, then `b`."""
     mine = agent == "a"
     for second in range(60):
         time_ns, t = second * S, float(second)
@@ -138,7 +138,7 @@ def test_report_has_a_page_figures_and_pictures(made):
     assert figures["reactions"][0]["count"] == 30
 
 
-def test_report_page_needs_nothing_but_itself(made):
+def test_report_page_is_self_contained(made):
     page = Page(made.page.read_text())
     assert page.open == []
     assert all(link.startswith("#") for link in page.links)
@@ -166,8 +166,8 @@ def test_report_verb_writes_the_same_bytes_beside_the_recording(recording, made)
     assert CliRunner().invoke(pancakes, ["report", str(recording / "nothing.mcap")]).exit_code == 1
 
 
-def test_report_of_a_cut_recording_goes_as_far_as_it_can(recording, tmp_path):
-    """It is made by the verb of one file, and of one task."""
+def test_report_of_a_cut_recording(recording, tmp_path):
+    """The verb makes it of one file, and of one task."""
     cut = tmp_path / "a.mcap"
     whole = (recording / "a.mcap").read_bytes()
     cut.write_bytes(whole[: int(len(whole) * 0.6)])
@@ -178,7 +178,7 @@ def test_report_of_a_cut_recording_goes_as_far_as_it_can(recording, tmp_path):
     assert "a.mcap is cut off" in text and "a/Scan" in text
 
 
-def test_report_of_a_fleet_in_which_nothing_moves(tmp_path):
+def test_report_of_a_fleet_without_motion(tmp_path):
     say = [
         RecordedPacket(n * S, "solo", Packet("log", "line", "solo/x", "", n, n, LogLine("info", "hm")))
         for n in range(3)
@@ -214,7 +214,7 @@ def test_report_names_the_extra_if_matplotlib_is_missing(recording, tmp_path, mo
         make_report(recording, tmp_path / "out")
 
 
-def test_report_refuses_a_bad_place_and_an_empty_recording(recording, tmp_path):
+def test_report_refuses_bad_folder_and_empty_recording(recording, tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(PancakesError, match="the report cannot be written to .*: Not a directory"):
         make_report(recording, tmp_path / "file" / "out")

@@ -1,4 +1,4 @@
-"""Which commands a report lets one look at, and the part of its page in which that is done."""
+"""The commands that a person can pick in a report, and the picker on its page."""
 
 import json
 import re
@@ -17,7 +17,7 @@ def picked():
     return PickedCommands()
 
 
-def test_few_commands_are_all_kept(picked):
+def test_few_commands_are_kept_completely(picked):
     for number in range(100):
         picked.add(command(number))
     (actuator,) = picked.actuators()
@@ -38,7 +38,7 @@ def test_picked_commands_are_spread_evenly_and_the_slowest(picked):
     assert all((number * actuator.stride) + 1 in seqs for number in range(20_000 // actuator.stride))
 
 
-def test_picked_actuators_share_what_there_is_room_for(picked):
+def test_picked_actuators_share_the_limit(picked):
     for number in range(500):
         for robot in range(MOST_ACTUATORS + 1):
             picked.add(command(number, agent=f"r{robot:03}"))
@@ -48,7 +48,7 @@ def test_picked_actuators_share_what_there_is_room_for(picked):
     assert len(json.dumps(picked.plain())) < 3_000_000
 
 
-def test_the_plain_values_add_up(picked):
+def test_picked_plain_values_add_up(picked):
     picked.add(command(3, latency_ms=2.5))
     plain = picked.plain()
     assert plain["names"] == ["a/device/pose pose", "a/client/Scan motors"]
@@ -57,7 +57,7 @@ def test_the_plain_values_add_up(picked):
     assert plain["actuators"][0]["commands"] == [[302, 0, 0, [4, 4], [500], [2000]]]
 
 
-def test_it_is_the_recordings_time_that_counts_as_an_agent_that_is_started_again_stamps_from_0_again():
+def test_picked_commands_have_recording_time():
     again = command(300)
     again = msgspec.structs.replace(again, packet=msgspec.structs.replace(again.packet, stamp=0.5))
     picked = PickedCommands(MissionTime(zero_ns=10 * 10**9, speed=5.0))
@@ -65,7 +65,7 @@ def test_it_is_the_recordings_time_that_counts_as_an_agent_that_is_started_again
     assert [it.mission_s for it in picked.actuators()[0].commands()] == [pytest.approx(5 * (30.002 - 10))]
 
 
-def test_the_page_holds_the_data_and_nothing_in_it_ends_the_script():
+def test_picker_data_cannot_end_the_script():
     found = Reactions()
     for number in range(20):
         found.add_command(command(number, latency_ms=float(number + 1), source="client/</script><b>"))
@@ -79,7 +79,7 @@ def test_the_page_holds_the_data_and_nothing_in_it_ends_the_script():
     assert "<b>" not in html and "&lt;/script&gt;&lt;b&gt; motors" in html
 
 
-def test_without_scripts_the_slowest_are_there_step_by_step():
+def test_picker_without_scripts_has_the_slowest():
     found = Reactions()
     for number in range(20):
         found.add_command(command(number, latency_ms=float(number + 1)))

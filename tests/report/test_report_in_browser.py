@@ -1,4 +1,4 @@
-"""The report's page in a real browser without a window: any command is picked by pointer and by keyboard."""
+"""The report's page in a headless browser: any command is picked by pointer and by keyboard."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def expect(target: Any) -> Any:
     return expect(target)
 
 
-def test_a_command_is_picked_and_its_chain_is_seen(browser: Any, report: str):
+def test_picked_command_shows_its_chain(browser: Any, report: str):
     page, faults = opened(browser, report)
     said, rows = page.locator("#picker-said"), page.locator("#picker-chain tr")
     expect(said).to_contain_text("Command 1 of 100, at 0.002 s: v_mps 0.1, omega_radps 0. 2 ms from the first cause")
@@ -79,14 +79,14 @@ def test_a_command_is_picked_and_its_chain_is_seen(browser: Any, report: str):
     assert faults == []
 
 
-def test_it_fits_a_phone_in_the_dark(browser: Any, report: str):
+def test_report_fits_a_phone_in_dark_mode(browser: Any, report: str):
     page, faults = opened(browser, report, viewport=PHONE, color_scheme="dark")
     expect(page.locator("#picker")).to_be_visible()
     assert page.evaluate("document.documentElement.scrollWidth") <= PHONE["width"]
     assert faults == []
 
 
-def test_on_a_phone_what_is_wider_than_the_screen_scrolls_and_shows_that_it_does(browser: Any, tmp_path: Path):
+def test_wide_parts_scroll_on_a_phone(browser: Any, tmp_path: Path):
     svg = '<svg viewBox="0 0 700 200" class="broad" style="max-width: 980px"><rect width="700" height="200"/></svg>'
     findings = Findings()
     findings.reactions.add_command(command(1, 2.0, "a"))
@@ -97,7 +97,7 @@ def test_on_a_phone_what_is_wider_than_the_screen_scrolls_and_shows_that_it_does
     assert page.evaluate("document.documentElement.scrollWidth") <= 390
     figure = page.locator("#tasks .wide")
     assert figure.evaluate("(box) => box.scrollWidth > box.clientWidth + 100")
-    # A phone shows no scroll bar: a shade at the edge tells of what is beyond.
+    # A phone shows no scroll bar: a shade at the edge shows that there is more.
     assert figure.evaluate("(box) => getComputedStyle(box).backgroundImage").count("linear-gradient") == 4
     figure.focus()
     page.keyboard.press("ArrowRight")
@@ -105,7 +105,7 @@ def test_on_a_phone_what_is_wider_than_the_screen_scrolls_and_shows_that_it_does
     assert faults == []
 
 
-def test_without_scripts_the_slowest_commands_are_there(browser: Any, report: str):
+def test_report_without_scripts_shows_the_slowest(browser: Any, report: str):
     page, _ = opened(browser, report, java_script_enabled=False)
     expect(page.locator("#picker")).to_be_hidden()
     page.get_by_text("a motors: the slowest of 100 commands").click()

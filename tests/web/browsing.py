@@ -1,4 +1,4 @@
-"""What the tests of the page in a browser have in common: it is opened, and looked into."""
+"""Helpers for the tests of the page in a browser."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def expect(target: Any) -> Any:
 
 
 def opened(browser: Any, address: str, faults: list[str], **options: Any) -> Any:
-    """Opens the page in a context of its own."""
+    """Open the page in a context of its own."""
     page = browser.new_context(**{"viewport": {"width": 1280, "height": 860}, **options}).new_page()
     page.set_default_timeout(PATIENCE_MS)
     page.on("pageerror", lambda error: faults.append(str(error)))
@@ -51,13 +51,13 @@ def view(rig: Rig, *options: str) -> str:
 
 
 def fetched(address: str) -> str:
-    """Returns the page at an address, without what only a browser would load."""
+    """Return the page at an address, without what only a browser would load."""
     with urllib.request.urlopen(address.partition("#")[0], timeout=20.0) as response:
         return str(response.read().decode())
 
 
 def drag(page: Any, source: Any, target: Any) -> None:
-    """Drags as a hand does."""
+    """Drag one element onto another in small steps, like a hand."""
     start, end = place(source), place(target)
     page.mouse.move(start["x"] + 30, start["y"] + 10)
     page.mouse.down()
@@ -66,7 +66,7 @@ def drag(page: Any, source: Any, target: Any) -> None:
 
 
 def place(target: Any) -> Any:
-    """Returns where something is on the page, once it is there: a card that is drawn again may hide it for a moment."""
+    """Return where something is on the page, once it is there: a card that is drawn again may hide it for a moment."""
     while (box := target.bounding_box()) is None:
         target.wait_for()  # to be seen; it has a limit of its own
     return box

@@ -26,13 +26,13 @@ def rig(tmp_path: Path) -> Iterator[Rig]:
 
 @pytest.fixture
 def faults() -> list[str]:
-    """What the browser complained about."""
+    """The errors that the browser reported."""
     return []
 
 
 @pytest.fixture
 def pair(rig: Rig) -> Rig:
-    """Two agents that could both run the task that one of them runs."""
+    """Two agents that could both run the task; one of them runs it."""
     rig.install("walk", "[pancakes.tasks]\nwalk.Walk = plugin_walk:Walk\n", WALK)
     first = rig.ready("a", WALKING)
     rig.ready("b", agent=f'peers = ["{rig.address(first)}"]')
@@ -53,7 +53,7 @@ def acting(pair: Rig, browser: Any, faults: list[str]) -> Iterator[Any]:
 
 @pytest.fixture
 def touched(pair: Rig, browser: Any, faults: list[str]) -> Iterator[Any]:
-    """The page on a phone with a screen that is so small that only one card is seen at a time."""
+    """The page on a phone whose screen shows only one card at a time."""
     small = {"width": 390, "height": 420}
     yield opened(browser, view(pair, "--control"), faults, viewport=small, has_touch=True, is_mobile=True)
     assert faults == []
@@ -73,7 +73,7 @@ def server(fleet: Fleet) -> Iterator[PageServer]:
 
 @pytest.fixture
 def onlooker(fleet: Fleet) -> Iterator[PageServer]:
-    """A server whose pages may only look."""
+    """A server with read-only pages."""
     server = open_page(Shown(fleet.feed, fleet.explain, fleet.look), 0)
     yield server
     server.close()

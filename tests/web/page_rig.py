@@ -1,4 +1,4 @@
-"""Opens what a page opens, without a browser, beside something that stands for a fleet."""
+"""A page without a browser, and a fake fleet for it."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ PATIENCE_S = 20.0
 
 
 class Fleet:
-    """Stands for a fleet: remembers what it was asked for."""
+    """A fake fleet that records the questions to it."""
 
     def __init__(self) -> None:
         self.feed = Feed(lambda: 1.0)
@@ -40,17 +40,17 @@ class Fleet:
         return future
 
     def look(self, agent: str, body: Describe, timeout_s: float) -> Future[Reply]:
-        """Answers by whether the state is asked for; later, where answers are to wait."""
+        """Answer by whether the state is asked for; later, where answers are to wait."""
         self.looked.append((agent, body))
         future: Future[Reply] = Future()
         if self.waiting is not None:
             self.waiting.append(future)
             return future
-        told = self.looks[body.state]
-        if isinstance(told, Reply):
-            future.set_result(told)
+        result = self.looks[body.state]
+        if isinstance(result, Reply):
+            future.set_result(result)
         else:
-            future.set_exception(told)
+            future.set_exception(result)
         return future
 
     def explain(
@@ -61,14 +61,14 @@ class Fleet:
 
 @contextmanager
 def page(server: PageServer, **options: Any) -> Iterator[ClientConnection]:
-    """Opens what the page opens, and shows the token."""
+    """Open what the page opens, and shows the token."""
     with stranger(server, **options) as connection:
         assert ask(connection, "hello", token=server.token)["ok"]
         yield connection
 
 
 def stranger(server: PageServer, **options: Any) -> ClientConnection:
-    """Opens what the page opens, and says nothing."""
+    """Open what the page opens, and says nothing."""
     origin = f"http://127.0.0.1:{server.port}"
     return connect(
         f"ws://127.0.0.1:{server.port}/news", origin=options.pop("origin", origin), compression=None, **options
@@ -76,13 +76,13 @@ def stranger(server: PageServer, **options: Any) -> ClientConnection:
 
 
 def ask(connection: ClientConnection, what: str, **fields: Any) -> dict[str, Any]:
-    """Asks for something, and returns the answer among all the news."""
+    """Ask for something, and returns the answer among all the news."""
     connection.send(json.dumps({"id": 7, "ask": what, **fields}))
     return answer_to(connection, 7)
 
 
 def answer_to(connection: ClientConnection, number: int) -> dict[str, Any]:
-    """Returns the answer to what was asked under a number, among all the news."""
+    """Return the answer to what was asked under a number, among all the news."""
     while True:
         message: dict[str, Any] = json.loads(connection.recv(PATIENCE_S))
         if message.get("answer") == number:

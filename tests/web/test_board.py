@@ -1,9 +1,9 @@
-"""The board: whoever was away gets the newest values, and nothing else is kept for them."""
+"""The board: a page that was away gets the newest values, and nothing else is kept for it."""
 
 from pancakes.tools.web.timeline import Board
 
 
-def test_changes_are_told_since_any_version():
+def test_changes_since_any_version_are_returned():
     board = Board()
     board.set("a", 1)
     board.set("b", 2)
@@ -15,7 +15,7 @@ def test_changes_are_told_since_any_version():
     assert board.since(board.version) == {}
 
 
-def test_a_value_that_stays_the_same_is_no_change():
+def test_equal_value_is_not_a_change():
     board = Board()
     board.set("a", [1, 2])
     seen = board.version
@@ -24,7 +24,7 @@ def test_a_value_that_stays_the_same_is_no_change():
     assert board.version == seen
 
 
-def test_what_is_taken_away_is_told_to_those_who_may_have_seen_it():
+def test_removed_value_is_a_change():
     board = Board()
     board.set("task/a/client/T", {})
     seen = board.version
@@ -35,7 +35,7 @@ def test_what_is_taken_away_is_told_to_those_who_may_have_seen_it():
     assert board.keys("task/") == []
 
 
-def test_a_hundred_changes_of_one_value_are_one_change_to_whoever_was_away():
+def test_many_changes_of_one_value_are_merged():
     board = Board()
     for number in range(100):
         board.set("a", number)

@@ -1,4 +1,4 @@
-"""Why an actuator was commanded: any command of the last minutes, by its moment or one after the other."""
+"""Explaining commands to actuators: any command of the last minutes, by its moment or step by step."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ S = 1_000_000_000
 
 
 def command(t: float, number: int, took_ms: float = 6.0, type_: str = "motors", caused: bool = True) -> Any:
-    """A command on the agent `a` that answers a pose from afar, and when it was given."""
+    """Return a command on the agent `a` that answers a pose of another agent, and when it was given."""
     begun_ns = round(t * S - took_ms * 1e6)
     sent = Packet("system", "pose", "world/client/Capture", "", t - 0.006, number, None)
     read = Packet("system", "pose", "a/device/pose", "", t - 0.002, number, None)
@@ -42,7 +42,7 @@ def found(explaining: CommandExplainer, **asked: Any) -> dict[str, Any]:
     return explained
 
 
-def test_the_newest_command_is_led_back_to_its_first_cause(explaining: CommandExplainer):
+def test_newest_command_has_its_chain(explaining: CommandExplainer):
     newest = found(explaining)
 
     assert (newest["type"], newest["source"], newest["seq"]) == ("motors", "a/client/T", 10)
@@ -54,14 +54,14 @@ def test_the_newest_command_is_led_back_to_its_first_cause(explaining: CommandEx
     assert newest["steps"][-1]["body"] == "v_mps 0.1, omega_radps 0.2"
 
 
-def test_a_moment_means_the_command_that_was_in_force_then(explaining: CommandExplainer):
+def test_moment_selects_the_command_in_force(explaining: CommandExplainer):
     assert found(explaining, t=15.9)["seq"] == 5
     assert found(explaining, t=16.0)["seq"] == 6
     assert found(explaining, t=99.0)["seq"] == 10
     assert found(explaining, t=1.0)["seq"] == 1, "before all of them it is the first"
 
 
-def test_one_steps_from_a_command_to_the_ones_before_and_after_whatever_comes_meanwhile(explaining: CommandExplainer):
+def test_step_selects_the_command_before_or_after(explaining: CommandExplainer):
     explaining.add([command(21.0, 11)])
 
     assert found(explaining, command=("a/client/T", 5), step=-1)["seq"] == 4
@@ -70,21 +70,21 @@ def test_one_steps_from_a_command_to_the_ones_before_and_after_whatever_comes_me
     assert found(explaining, command=("a/client/T", 11), step=1)["seq"] == 11
 
 
-def test_how_long_all_took_that_are_alike(explaining: CommandExplainer):
+def test_distribution_of_alike_commands(explaining: CommandExplainer):
     alike = found(explaining, t=11.0)["alike"]
 
     assert (alike["count"], alike["p50_ms"], alike["p90_ms"], alike["max_ms"]) == (10, 16.0, 24.0, 24.0)
     assert (alike["from_ms"], alike["to_ms"], sum(alike["bars"])) == (6.0, 24.0, 10)
 
 
-def test_a_command_of_a_timer_has_no_distribution(explaining: CommandExplainer):
+def test_command_of_a_timer_has_no_distribution(explaining: CommandExplainer):
     explaining.add([command(30.0, 12, caused=False)])
 
     assert found(explaining)["alike"] is None
     assert len(found(explaining)["steps"]) == 1
 
 
-def test_each_actuator_has_its_own_commands(explaining: CommandExplainer):
+def test_actuators_have_separate_commands(explaining: CommandExplainer):
     assert explaining.add([command(15.5, 1, type_="gripper")]) == {"a"}
     assert explaining.add([command(16.5, 2, type_="gripper")]) == set()
 
@@ -94,19 +94,19 @@ def test_each_actuator_has_its_own_commands(explaining: CommandExplainer):
     assert found(explaining)["actuators"] == ["gripper", "motors"]
 
 
-def test_commands_that_come_out_of_order_find_their_place(explaining: CommandExplainer):
+def test_commands_out_of_order_are_sorted(explaining: CommandExplainer):
     explaining.add([command(15.5, 77)])
 
     assert found(explaining, t=15.6)["seq"] == 77
     assert found(explaining, command=("a/client/T", 77), step=1)["seq"] == 6
 
 
-def test_who_was_not_commanded_has_no_chain(explaining: CommandExplainer):
+def test_agent_without_commands_has_no_chain(explaining: CommandExplainer):
     assert explaining.explain("b") is None
     assert explaining.explain("a", "gripper") is None
 
 
-def test_the_oldest_are_forgotten_at_the_limit():
+def test_oldest_commands_are_dropped_at_the_limit():
     explaining = CommandExplainer(most=0)
     explaining.add(command(float(number), number) for number in range(1, 1001))
 

@@ -1,10 +1,10 @@
-"""What a page shows is made of what agents publish and say of themselves, without a socket."""
+"""The model that a page shows, made from packets and descriptions of agents, without a socket."""
 
 from typing import Any
 
 import numpy as np
 import pytest
-from web.told import agent, describe, packet, record, task, world
+from web.samples import agent, describe, packet, record, task, world
 
 from pancakes.client.rates import RateMeter
 from pancakes.devices import Battery, Infrared, Motion, Pose
@@ -17,7 +17,7 @@ def model() -> FleetModel:
     return FleetModel()
 
 
-def test_a_world_shows_where_bodies_are_who_drives_them_and_the_mission_time(model: FleetModel):
+def test_world_state_shows_bodies_and_mission_time(model: FleetModel):
     describe(model, agent("world", role="environment", speed=5.0))
     model.hear("world", world(40.0, a=(1.0, 2.0)), t=8.0)
 
@@ -27,21 +27,21 @@ def test_a_world_shows_where_bodies_are_who_drives_them_and_the_mission_time(mod
     assert model.mission_s(9.0) == 45.0  # it goes on five times as fast
 
 
-def test_poses_are_shown_where_there_is_no_world_and_only_those_of_the_agents_own_device(model: FleetModel):
+def test_without_a_world_own_poses_are_shown(model: FleetModel):
     model.hear("a", packet("a/device/pose", "system", "pose", Pose(1.0, 2.0, 0.3)), 0.0)
     model.hear("a", packet("a/client/Guess", "system", "pose", Pose(9.0, 9.0, 0.0)), 0.0)
 
     assert model.board.get("body/a") == [1.0, 2.0, 0.3, ""]
 
 
-def test_the_truth_of_a_world_goes_before_a_pose(model: FleetModel):
+def test_world_state_replaces_poses(model: FleetModel):
     model.hear("world", world(0.0, a=(1.0, 2.0)), 0.0)
     model.hear("a", packet("a/device/pose", "system", "pose", Pose(1.1, 2.1, 0.3)), 0.0)
 
     assert model.board.get("body/a")[:2] == [1.0, 2.0]
 
 
-def test_a_trail_has_points_that_lie_apart_and_not_too_many_of_them(model: FleetModel):
+def test_trail_points_are_spaced_and_limited(model: FleetModel):
     for number in range(3 * TRAIL):
         model.hear("world", world(0.0, a=(0.01 * number, 0.0)), 0.0)
 
@@ -50,7 +50,7 @@ def test_a_trail_has_points_that_lie_apart_and_not_too_many_of_them(model: Fleet
     assert min(other[0] - one[0] for one, other in zip(trail, list(trail)[1:], strict=False)) >= 0.02 - 1e-9
 
 
-def test_readings_of_batteries_and_range_sensors(model: FleetModel):
+def test_battery_and_range_readings_are_shown(model: FleetModel):
     model.hear("a", packet("a/device/battery", "system", "battery", Battery(7.987, 0.6543)), 0.0)
     model.hear("a", packet("a/device/ir", "system", "ir", Infrared((0.0, 1.0), (0.1, 0.2), 0.2)), 0.0)
     model.hear("s", packet("s/device/motion", "system", "motion", Motion(True, 0.5, None)), 0.0)
@@ -61,7 +61,7 @@ def test_readings_of_batteries_and_range_sensors(model: FleetModel):
     assert model.board.get("motion/s") == [True, 0.5, None]
 
 
-def test_a_card_has_rates_lateness_and_drops(model: FleetModel):
+def test_card_shows_rates_lateness_and_drops(model: FleetModel):
     rates = RateMeter()
     describe(model, agent("a", task("a", "T", rate_hz=10.0), mission_s=0.0), rates=rates)
     late = task("a", "T", rate_hz=10.0, ticks=45, lateness_sum_s=0.09, missed=5, dropped=3)
@@ -73,14 +73,14 @@ def test_a_card_has_rates_lateness_and_drops(model: FleetModel):
     assert model.board.get("agent/a")["dropped"] == 3
 
 
-def test_a_card_has_the_version_that_its_agent_runs(model: FleetModel):
+def test_card_shows_the_version(model: FleetModel):
     process = {"version": "0.1.0", "build": "", "processor_s": 1.0, "memory_mib": 50.0, "threads": 5, "uptime_s": 9.0}
     deployed = agent("a", process={**process, "build": "0.1.0-aa"})
     describe(model, deployed, agent("b", process=process), agent("c"))
     assert [model.board.get(f"agent/{name}")["version"] for name in "abc"] == ["0.1.0-aa", "0.1.0", None]
 
 
-def test_a_task_at_rest_says_why_until_it_runs(model: FleetModel):
+def test_resting_task_shows_the_reason(model: FleetModel):
     describe(model, agent("a", task("a", "T", state="stopped", rest="moved → b"), task("a", "R")))
     assert model.board.get("task/a/client/T")["rest"] == "moved → b"
     assert "rest" not in model.board.get("task/a/client/R")
@@ -90,7 +90,7 @@ def test_a_task_at_rest_says_why_until_it_runs(model: FleetModel):
     assert "rest" not in model.board.get("task/a/client/T")
 
 
-def test_links_are_those_between_agents_and_end_with_them(model: FleetModel):
+def test_links_appear_and_disappear_with_agents(model: FleetModel):
     describe(model, agent("b", peers={"a": 0.0021}), agent("a", peers={"b": 0.0019}))
     assert model.board.keys("link/") == ["link/a/b"]
     assert model.board.get("link/a/b") == 1.9  # as the one of the lower name measured it
@@ -99,7 +99,7 @@ def test_links_are_those_between_agents_and_end_with_them(model: FleetModel):
     assert model.board.keys("link/") == []
 
 
-def test_who_does_not_answer_is_shown_as_silent_with_what_it_ran(model: FleetModel):
+def test_silent_agent_keeps_its_tasks(model: FleetModel):
     rates = RateMeter()
     describe(model, agent("a", task("a", "T")), rates=rates)
     describe(model, rates=rates)
@@ -108,7 +108,7 @@ def test_who_does_not_answer_is_shown_as_silent_with_what_it_ran(model: FleetMod
     assert model.board.get("task/a/client/T") is not None
 
 
-def test_a_task_is_seen_to_move_before_anybody_is_asked(model: FleetModel):
+def test_migration_is_shown_before_the_next_description(model: FleetModel):
     describe(model, agent("a", task("a", "T")), agent("b"))
     model.tell(record("a", "task_stopped", 1.0, task="T", service="client", reason="handed over to b"), 1.0)
     assert model.board.get("task/a/client/T")["state"] == "stopped"
@@ -119,14 +119,14 @@ def test_a_task_is_seen_to_move_before_anybody_is_asked(model: FleetModel):
     assert model.board.get("task/b/client/T") == {"type": "x.T", "state": "running"}
 
 
-def test_a_task_that_an_agent_has_no_more_goes_from_its_card(model: FleetModel):
+def test_removed_task_leaves_the_card(model: FleetModel):
     describe(model, agent("a", task("a", "T")))
     describe(model, agent("a"))
 
     assert model.board.keys("task/") == []
 
 
-def test_a_circle_is_drawn_from_a_tasks_settings_and_state_until_it_stops(model: FleetModel):
+def test_circle_is_shown_while_its_task_runs(model: FleetModel):
     describe(model, agent("a", task("a", "T")))
     detail: dict[str, Any] = {"service": "client", "task": "T", "settings": {"radius_m": 0.5}, "requires": ["motors"]}
     model.detail("a", {**detail, "state": {"centre_m": None}})
@@ -143,7 +143,7 @@ def test_a_circle_is_drawn_from_a_tasks_settings_and_state_until_it_stops(model:
     assert model.board.get("circle/a/T") is None
 
 
-def test_the_worlds_settings_tell_the_arena_and_how_large_bodies_are(model: FleetModel):
+def test_world_settings_give_arena_and_sizes(model: FleetModel):
     describe(model, agent("world", task("world", "World"), role="environment"))
     settings = {
         "arena": {"width_m": 4.0, "height_m": 3.0},
@@ -159,7 +159,7 @@ def test_the_worlds_settings_tell_the_arena_and_how_large_bodies_are(model: Flee
     assert model.board.get("shape/m") == {"kind": "mover", "radius_m": 0.1}
 
 
-def test_every_bid_and_refusal_is_an_event_with_a_sentence(model: FleetModel):
+def test_bids_and_refusals_are_events(model: FleetModel):
     bid = Event("migration_bid", {"task": "T", "source_agent": "a", "cost": 2.0, "terms": {}})
     model.hear("b", packet("b/network/TaskMigrator", "log", "event", bid, 3.0), 1.0)
     refusal = Event("migration_refused", {"task": "T", "source_agent": "a", "reason": "lacks motors"})
@@ -170,7 +170,7 @@ def test_every_bid_and_refusal_is_an_event_with_a_sentence(model: FleetModel):
     assert (events[0]["source_agent"], events[0]["cost"], events[0]["t"], events[0]["m"]) == ("a", 2.0, 1.0, 3.0)
 
 
-def test_what_was_said_before_lies_back_on_the_timeline_and_comes_once(model: FleetModel):
+def test_earlier_records_are_placed_in_the_past_once(model: FleetModel):
     describe(model, agent("a", speed=2.0, mission_s=20.0), t=5.0)
     model.tell(record("a", "ready", t_s=16.0), 4.9)
     model.recall([record("a", "saved", t_s=10.0), record("a", "ready", t_s=16.0)], 5.0)
@@ -178,7 +178,7 @@ def test_what_was_said_before_lies_back_on_the_timeline_and_comes_once(model: Fl
     assert [(it["kind"], it["t"]) for it in model.events.since(0)] == [("ready", 4.9), ("saved", 0.0)]
 
 
-def test_only_the_newest_events_are_kept_and_their_numbers_tell_what_is_missing():
+def test_only_the_newest_events_are_kept():
     from pancakes.tools.web.fleet_model import EventLog
 
     events = EventLog(limit=3)
@@ -189,7 +189,7 @@ def test_only_the_newest_events_are_kept_and_their_numbers_tell_what_is_missing(
     assert [it["n"] for it in events.since(4)] == [5]
 
 
-def test_a_new_rate_is_shown_at_once_and_not_beside_what_was_reached_before(model: FleetModel):
+def test_new_rate_replaces_the_achieved_rate(model: FleetModel):
     rates = RateMeter()
     describe(model, agent("a", task("a", "T", rate_hz=10.0)), rates=rates)
     describe(model, agent("a", task("a", "T", rate_hz=10.0, ticks=50), mission_s=5.0), rates=rates)
@@ -201,7 +201,7 @@ def test_a_new_rate_is_shown_at_once_and_not_beside_what_was_reached_before(mode
 
 
 def guarding(permit_s: float, *silent_s: float) -> dict[str, Any]:
-    """What an owner says of its guardians b, c, ..., which have been silent for so long."""
+    """Return an owner's report on its guardians b, c, ..., each with the time that it has been silent."""
     members = [
         {"agent": name, "checkpoint": 7, "age_s": 0.4321, "silent_s": it}
         for name, it in zip("bcd", silent_s, strict=False)
@@ -210,7 +210,7 @@ def guarding(permit_s: float, *silent_s: float) -> dict[str, Any]:
     return {**about, "permit_s": permit_s, "guardians": members}
 
 
-def test_a_guarded_task_shows_its_guardians_the_age_of_what_they_hold_and_its_permit(model: FleetModel):
+def test_guarded_task_shows_guardians_and_permit(model: FleetModel):
     describe(model, agent("a", task("a", "T", guarding=guarding(1.234, 0.1, 0.2, 9.0)), task("a", "R")))
     shown = model.board.get("task/a/client/T")["guards"]
     assert shown == {
@@ -222,7 +222,7 @@ def test_a_guarded_task_shows_its_guardians_the_age_of_what_they_hold_and_its_pe
     assert "guards" not in model.board.get("task/a/client/R")
 
 
-def test_a_guarded_task_without_a_permit_is_shown_to_stand_still(model: FleetModel):
+def test_guarded_task_without_a_permit_is_shown_paused(model: FleetModel):
     stands = task("a", "T", rest="stands still", guarding=guarding(0.0, 9.0, 9.0))
     describe(model, agent("a", stands))
     row = model.board.get("task/a/client/T")

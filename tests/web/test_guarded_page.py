@@ -1,4 +1,4 @@
-"""A guarded task on the page: its guardians, the age of what they hold, its permit, and that it stands still."""
+"""A guarded task on the page: its guardians, the age of their checkpoints, its permit, and that it is paused."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ GUARDED = WALKING + 'guard = 3\nlease_s = 2.0\ncheckpoint_s = 0.2\nguardians = [
 
 
 def guarding(rig: Rig) -> tuple[Running, Running]:
-    """Starts a, b and c, which guard the task on a; returns b and c."""
+    """Start a, b and c, which guard the task on a; returns b and c."""
     rig.install("walk", "[pancakes.tasks]\nwalk.Walk = plugin_walk:Walk\n", WALK)
     others = rig.ready("b"), rig.ready("c")
     peers = ", ".join(f'"{rig.address(other)}"' for other in others)
@@ -20,9 +20,7 @@ def guarding(rig: Rig) -> tuple[Running, Running]:
     return others
 
 
-def test_it_says_what_guards_a_task_and_that_it_stands_still_without_its_guardians(
-    rig: Rig, browser: Any, faults: list[str]
-):
+def test_guarded_task_on_the_page_is_shown_paused(rig: Rig, browser: Any, faults: list[str]):
     b, c = guarding(rig)
     page = opened(browser, view(rig), faults)
     walk = chip(page, "a", "Walk")

@@ -1,4 +1,4 @@
-"""A person moves, stops and changes tasks on the page in a real browser: by mouse, by touch, by keyboard."""
+"""A person migrates, stops and changes tasks on the page in a real browser: by mouse, by touch, by keyboard."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 from web.browsing import chip, drag, expect, middle
 
 
-def test_a_task_is_dragged_onto_another_agent_after_a_dry_run(acting: Any):
+def test_drag_migrates_a_task_after_a_dry_run(acting: Any):
     expect(acting.locator("body.control")).to_have_count(1)
     expect(chip(acting, "a", "Walk")).to_have_attribute("data-state", "running")
     expect(acting.locator("[data-agent=a] .links")).to_have_text(re.compile("links: b"))
@@ -28,7 +28,7 @@ def test_a_task_is_dragged_onto_another_agent_after_a_dry_run(acting: Any):
     expect(acting.locator("#events").get_by_text("a asks only b to take Walk").first).to_be_visible()
 
 
-def test_a_task_is_moved_stopped_and_changed_by_touch(touched: Any):
+def test_task_is_controlled_by_touch(touched: Any):
     walk = chip(touched, "a", "Walk")
     expect(walk).to_have_attribute("data-state", "running")
     expect(touched.locator("[data-agent=a] .links")).to_have_text(re.compile("links: b"))
@@ -83,7 +83,7 @@ def test_a_task_is_moved_stopped_and_changed_by_touch(touched: Any):
     expect(chip(touched, "b", "Walk")).to_have_attribute("data-state", "running")
 
 
-def test_escape_ends_a_drag_and_nothing_is_asked(acting: Any):
+def test_escape_cancels_a_drag(acting: Any):
     walk = chip(acting, "a", "Walk")
     expect(walk).to_have_attribute("data-state", "running")
     at = middle(walk)
@@ -98,7 +98,7 @@ def test_escape_ends_a_drag_and_nothing_is_asked(acting: Any):
     expect(acting.get_by_role("dialog")).to_have_count(0)
 
 
-def test_a_task_is_moved_stopped_and_changed_by_keyboard_alone(acting: Any):
+def test_task_is_controlled_by_keyboard(acting: Any):
     walk = chip(acting, "a", "Walk")
     expect(walk).to_have_attribute("data-state", "running")
     expect(acting.locator("[data-agent=a] .links")).to_have_text(re.compile("links: b"))

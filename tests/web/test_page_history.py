@@ -1,10 +1,10 @@
-"""The timeline: pieces that each begin with everything, and that are forgotten when they are old."""
+"""The timeline: each piece begins with all values; old pieces are dropped."""
 
 import json
 from typing import Any
 
 import pytest
-from web.told import packet, record, world
+from web.samples import packet, record, world
 
 from pancakes.devices import Infrared
 from pancakes.tools.web.feed import Feed
@@ -16,7 +16,7 @@ def piece(history: FrameHistory, t: float) -> dict[str, Any]:
     return found
 
 
-def test_a_piece_begins_with_everything_and_goes_on_with_changes():
+def test_piece_has_all_values_and_then_changes():
     history = FrameHistory()
     for number in range(150):
         history.add(0.1 * number, {"t": number, "all": history.due(0.1 * number)})
@@ -28,7 +28,7 @@ def test_a_piece_begins_with_everything_and_goes_on_with_changes():
     assert first["end"] == second["begin"]
 
 
-def test_it_keeps_so_much_time_and_so_much_memory():
+def test_history_is_limited_in_time_and_memory():
     by_time, by_size = FrameHistory(span_s=30.0), FrameHistory(most_bytes=2000)
     for number in range(100):
         by_time.add(float(number), {})
@@ -38,7 +38,7 @@ def test_it_keeps_so_much_time_and_so_much_memory():
     assert 99.0 - by_size.begin_s() < 25.0
 
 
-def test_before_the_beginning_is_the_first_piece_and_nothing_is_null():
+def test_piece_before_the_beginning_is_the_first():
     history = FrameHistory()
     assert history.at(0.0) == b"null"
     history.add(5.0, {"t": 5})
@@ -52,7 +52,7 @@ class Clock:
         return self.t
 
 
-def test_a_page_that_missed_frames_gets_the_newest_values_and_all_events():
+def test_slow_page_gets_newest_values_and_all_events():
     clock = Clock()
     feed = Feed(clock)
     data, seen = feed.frame(None)
@@ -67,7 +67,7 @@ def test_a_page_that_missed_frames_gets_the_newest_values_and_all_events():
     assert "trails" not in frame
 
 
-def test_a_page_that_was_away_for_too_long_is_told_how_many_events_it_missed():
+def test_page_away_too_long_gets_the_count_of_lost_events():
     feed = Feed(Clock())
     _, seen = feed.frame(None)
     for number in range(2500):
@@ -77,7 +77,7 @@ def test_a_page_that_was_away_for_too_long_is_told_how_many_events_it_missed():
     assert (len(frame["events"]), frame["lost_events"]) == (2000, 500)
 
 
-def test_what_was_recorded_can_be_seen_again():
+def test_recorded_frames_are_returned():
     clock = Clock()
     feed = Feed(clock)
     for number in range(40):
@@ -91,7 +91,7 @@ def test_what_was_recorded_can_be_seen_again():
     assert chunk["key"]["set"]["body/a"][0] == 0.0
 
 
-def test_once_it_is_over_the_present_stands_still():
+def test_ended_feed_has_a_fixed_present():
     clock = Clock()
     feed = Feed(clock)
     clock.t = 7.0
@@ -102,7 +102,7 @@ def test_once_it_is_over_the_present_stands_still():
     assert (frame["t"], frame["over"]) == (7.0, "the mission is over: PASS")
 
 
-def test_fifty_robots_that_all_move_and_measure_cost_a_page_some_kilobytes_a_frame():
+def test_frame_of_fifty_robots_is_small():
     feed = Feed(Clock())
     names = [f"robot{number:02d}" for number in range(50)]
     seen = None

@@ -1,4 +1,4 @@
-"""The page in a real browser without a window: a mission with a move, and a fleet that a person interferes with."""
+"""The page in a headless browser: a mission with a migration, and a fleet that a person controls."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ CONFIGS = Path(__file__).parents[2] / "configs" / "encirclement"
 
 
 def painted(page: Any, agent: str) -> int:
-    """Returns how many pixels of the arena have the colour of an agent."""
+    """Return how many pixels of the arena have the colour of an agent."""
     count: int = page.evaluate(
         """async (agent) => {
           await new Promise((resolve) => requestAnimationFrame(() => requestAnimationFrame(resolve)));
@@ -37,14 +37,14 @@ def painted(page: Any, agent: str) -> int:
 
 @pytest.fixture
 def mission(rig: Rig) -> str:
-    """The address of the page of a demo in which the task moves early; it stays when the demo is over."""
+    """The address of the page of a demo with an early migration; it stays open after the end of the demo."""
     arguments = ["encirclement", "--virtual", "--view", "--speed", "6", "--duration", "45", "--configs", str(CONFIGS)]
     early = ["--set", "world:task.World.settings.robots.agent1.battery.capacity_j=150"]
     demo = rig.run("-u", "-m", "pancakes.tools.cli.main", "demo", *arguments, *early, whole=True)
     return demo.hear("the page is at ").rpartition(" ")[2]
 
 
-def test_a_mission_is_seen_as_it_happens_and_again(browser: Any, mission: str, faults: list[str]):
+def test_mission_is_shown_live_and_replayed(browser: Any, mission: str, faults: list[str]):
     page = opened(browser, mission, faults)
     page.evaluate(
         """() => new MutationObserver((changes) => {
@@ -131,7 +131,7 @@ def test_a_mission_is_seen_as_it_happens_and_again(browser: Any, mission: str, f
     assert faults == []
 
 
-def test_it_fits_a_phone_and_follows_the_colours_that_a_person_likes(browser: Any, mission: str, faults: list[str]):
+def test_page_fits_a_phone_and_follows_the_colour_scheme(browser: Any, mission: str, faults: list[str]):
     page = opened(browser, mission, faults, viewport=PHONE, color_scheme="light")
     expect(chip(page, "agent1", "ScanTarget")).to_be_visible()
     for name in ("News", "All"):
@@ -182,10 +182,10 @@ pen.fillText = function (text, x, y) {
   return write.call(this, text, x, y);
 };
 """
-"""Sees what is written on the canvas in each frame, and notes what lies over something else."""
+"""Watches the texts on the canvas in each frame, and records those that overlap."""
 
 
-def test_on_a_phone_no_label_of_the_arena_lies_over_another(browser: Any, mission: str, faults: list[str]):
+def test_labels_on_a_phone_do_not_overlap(browser: Any, mission: str, faults: list[str]):
     context = browser.new_context(viewport={"width": 390, "height": 844}, device_scale_factor=2)
     context.add_init_script(WRITTEN)
     page = context.new_page()
@@ -219,7 +219,7 @@ async ({ radius, count }) => {
 """
 
 
-def test_labels_of_one_place_stand_around_it_and_what_has_no_room_is_left_out(looking: Any):
+def test_labels_without_room_are_left_out(looking: Any):
     boxes = looking.evaluate(PLACED, {"radius": 7, "count": 40})
     assert 12 <= len(boxes) < 40
     for number, one in enumerate(boxes):
@@ -231,7 +231,7 @@ def test_labels_of_one_place_stand_around_it_and_what_has_no_room_is_left_out(lo
 # A fleet without a world
 
 
-def test_without_poses_the_mesh_is_shown_with_its_round_trips(looking: Any):
+def test_without_poses_the_mesh_is_shown(looking: Any):
     expect(looking.locator("body")).to_have_attribute("data-stage", "mesh")
     expect(looking.locator("#canvas")).to_have_attribute(
         "aria-label", re.compile("Mesh of 2 agents: a runs 1 task; b runs 0 tasks")
@@ -240,7 +240,7 @@ def test_without_poses_the_mesh_is_shown_with_its_round_trips(looking: Any):
     expect(looking.locator("[data-agent=a] [data-task=Walk] .figure")).to_have_text(re.compile(r"of 4 Hz"))
 
 
-def test_of_fifty_agents_each_has_a_place_of_its_own_and_the_nearest_is_picked(looking: Any):
+def test_fifty_agents_have_separate_places(looking: Any):
     picked = looking.evaluate(
         """async () => {
           const { Mesh } = await import("/mesh.js");
@@ -267,7 +267,7 @@ def test_of_fifty_agents_each_has_a_place_of_its_own_and_the_nearest_is_picked(l
     assert picked == [50, True]
 
 
-def test_a_fleet_that_has_ended_is_said_to_have_and_its_past_is_still_there(rig: Rig, browser: Any, faults: list[str]):
+def test_ended_fleet_keeps_its_timeline(rig: Rig, browser: Any, faults: list[str]):
     rig.install("walk", "[pancakes.tasks]\nwalk.Walk = plugin_walk:Walk\n", WALK)
     running = rig.ready("a", WALKING)
     page = opened(browser, view(rig), faults)
@@ -291,7 +291,7 @@ def test_a_fleet_that_has_ended_is_said_to_have_and_its_past_is_still_there(rig:
     assert faults == []
 
 
-def test_a_page_without_control_offers_nothing_and_is_refused(looking: Any):
+def test_page_without_control_is_refused(looking: Any):
     expect(chip(looking, "a", "Walk")).to_have_attribute("data-state", "running")
     drag(looking, chip(looking, "a", "Walk"), looking.locator("[data-agent=b]"))
     expect(looking.locator("dialog[open]")).to_have_count(0)
@@ -314,7 +314,7 @@ def test_a_page_without_control_offers_nothing_and_is_refused(looking: Any):
     assert answer["ok"] is False and "start it with --control" in answer["reason"]
 
 
-def test_versions_that_differ_over_the_fleet_stand_on_the_cards(browser: Any, rig: Rig, faults: list[str]):
+def test_different_versions_are_shown_on_the_cards(browser: Any, rig: Rig, faults: list[str]):
     def deployed(name: str, build: str) -> None:
         (rig.directory / name).mkdir()
         (rig.directory / name / "pancakes-build").write_text(f"{build}\n")

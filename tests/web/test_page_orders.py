@@ -1,4 +1,4 @@
-"""What a page may ask for is checked word for word."""
+"""The orders of a page are checked strictly."""
 
 from typing import Any
 
@@ -30,7 +30,7 @@ TASK = {"agent": "a", "task": "client/T"}
         ({"do": "restart"}, Restart("client/T")),
     ],
 )
-def test_a_message_becomes_a_control_packet(message: dict[str, Any], body: Any):
+def test_order_becomes_a_control_packet(message: dict[str, Any], body: Any):
     order = order_from({**TASK, **message})
 
     assert order.agent == "a"
@@ -62,7 +62,7 @@ def test_a_message_becomes_a_control_packet(message: dict[str, Any], body: Any):
         {},
     ],
 )
-def test_anything_else_is_refused_with_a_sentence(message: dict[str, Any]):
+def test_invalid_order_is_refused(message: dict[str, Any]):
     with pytest.raises(ControlRefused, match="the page sent an invalid order"):
         order_from({**TASK, **message})
 
@@ -93,18 +93,18 @@ def nested(depth: int) -> Any:
         ({"a": {1: 1}}, "a key of settings is not a text"),
     ],
 )
-def test_settings_that_are_more_than_a_page_may_ask_for_are_refused(settings: dict[str, Any], fault: str):
+def test_oversized_settings_are_refused(settings: dict[str, Any], fault: str):
     with pytest.raises(ControlRefused, match=f"the page sent an invalid order: {fault}"):
         order_from({**TASK, "do": "configure", "settings": settings})
 
 
-def test_as_much_as_a_page_may_ask_for_is_passed_on():
+def test_largest_allowed_settings_are_accepted():
     settings = {"a": nested(7), "b": [0] * 900, "c": 2**63 - 1, **{f"s{number}": 1.5 for number in range(40)}}
     order = order_from({**TASK, "do": "configure", "settings": settings})
 
     assert order.body() == Configure("client/T", settings)
 
 
-def test_a_rate_that_no_agent_takes_is_refused_in_the_agents_words():
+def test_invalid_rate_is_refused():
     with pytest.raises(ControlRefused, match="a rate must lie between 0 and 10,000 ticks a second, not -1"):
         order_from({**TASK, "do": "rate", "rate_hz": -1})

@@ -1,4 +1,4 @@
-"""The page's server over real sockets: who may look, who may ask, and that nobody holds up others."""
+"""The page's server over real sockets: who may look, who may order, and that no page delays others."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 from web.page_rig import PATIENCE_S, Fleet, ask, page, stranger
-from web.told import world
+from web.samples import world
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
 from pancakes.control import Migrate, Refusal, Reply
@@ -25,7 +25,7 @@ from pancakes.tools.web.page_server import MOST_ASIDE, MOST_PAGES, PageServer
 
 
 def get(server: PageServer, path: str, host: str | None = None) -> tuple[int, dict[str, str], bytes]:
-    """Asks for a file."""
+    """Ask for a file."""
     connection = http.client.HTTPConnection("127.0.0.1", server.port, timeout=PATIENCE_S)
     try:
         connection.request("GET", path, headers={"Host": host} if host is not None else {})
@@ -38,7 +38,7 @@ def get(server: PageServer, path: str, host: str | None = None) -> tuple[int, di
 # Files
 
 
-def test_the_page_and_its_parts_are_there_and_load_nothing_from_elsewhere(server: PageServer):
+def test_page_is_served_and_self_contained(server: PageServer):
     status, headers, body = get(server, "/")
     assert (status, headers["content-type"]) == (200, "text/html; charset=utf-8")
     assert "default-src 'self'" in headers["content-security-policy"]
@@ -82,7 +82,7 @@ def test_page_server_allows_get_only(server: PageServer):
                 connection.close()
 
 
-def test_a_request_that_comes_letter_by_letter_is_answered(server: PageServer):
+def test_request_sent_byte_by_byte_is_answered(server: PageServer):
     with socket.create_connection(("127.0.0.1", server.port), PATIENCE_S) as slow:
         slow.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         for letter in f"GET / HTTP/1.1\r\nHost: 127.0.0.1:{server.port}\r\n\r\n":
@@ -90,14 +90,14 @@ def test_a_request_that_comes_letter_by_letter_is_answered(server: PageServer):
         assert slow.recv(12) == b"HTTP/1.1 200"
 
 
-def test_it_listens_on_loopback_only(server: PageServer):
+def test_page_server_listens_on_loopback_only(server: PageServer):
     with socket.create_connection(("127.0.0.1", server.port), PATIENCE_S):
         pass
     with pytest.raises(OSError):
         socket.create_connection(("127.0.0.2", server.port), PATIENCE_S).close()
 
 
-def test_a_port_in_use_is_a_sentence_and_the_usual_one_gives_way(server: PageServer, fleet: Fleet, monkeypatch: Any):
+def test_used_port_is_an_error_unless_default(server: PageServer, fleet: Fleet, monkeypatch: Any):
     with pytest.raises(PancakesError, match=f"cannot be served at port {server.port}: .*--port"):
         open_page(Shown(fleet.feed, fleet.explain, fleet.look), server.port)
 
@@ -111,13 +111,13 @@ def test_a_port_in_use_is_a_sentence_and_the_usual_one_gives_way(server: PageSer
 
 
 @pytest.mark.parametrize("origin", ["http://evil.example", "http://127.0.0.1:1", "null", None])
-def test_a_page_of_another_server_gets_no_news(server: PageServer, origin: Any):
+def test_page_of_another_origin_is_refused(server: PageServer, origin: Any):
     with pytest.raises(InvalidStatus) as refused:
         stranger(server, origin=origin)
     assert refused.value.response.status_code == 403
 
 
-def test_a_page_gets_everything_and_then_what_changes(server: PageServer, fleet: Fleet):
+def test_page_gets_all_values_and_then_changes(server: PageServer, fleet: Fleet):
     with fleet.feed.lock:
         fleet.feed.model.hear("world", world(0.0, a=(1.0, 0.0)), 0.0)
     with page(server) as connection:
@@ -131,7 +131,7 @@ def test_a_page_gets_everything_and_then_what_changes(server: PageServer, fleet:
         assert news["set"] == {"body/a": [2.0, 0.0, 0.5, "Drive"]}
 
 
-def test_a_page_that_takes_nothing_holds_up_nobody_and_gets_the_newest_when_it_does(server: PageServer, fleet: Fleet):
+def test_stalled_page_delays_no_other(server: PageServer, fleet: Fleet):
     def push(number: int) -> None:
         with fleet.feed.lock:
             fleet.feed.model.board.set("ballast", f"{number}" + "x" * 1_000_000)
@@ -153,7 +153,7 @@ def test_a_page_that_takes_nothing_holds_up_nobody_and_gets_the_newest_when_it_d
         assert server.skipped > 0
 
 
-def test_a_page_that_goes_is_forgotten_and_there_may_be_so_many(server: PageServer):
+def test_number_of_pages_is_limited(server: PageServer):
     with ExitStack() as stack:
         for _ in range(MOST_PAGES):
             stack.enter_context(page(server)).recv(PATIENCE_S)
@@ -164,7 +164,7 @@ def test_a_page_that_goes_is_forgotten_and_there_may_be_so_many(server: PageServ
         assert time.monotonic() < until_s
 
 
-def test_strangers_that_say_nothing_take_no_place(server: PageServer):
+def test_silent_connections_take_no_place(server: PageServer):
     with ExitStack() as stack:
         for _ in range(MOST_ASIDE + 5):  # the first of them give their places to the next
             stack.enter_context(stranger(server))
@@ -173,7 +173,7 @@ def test_strangers_that_say_nothing_take_no_place(server: PageServer):
             assert ask(operator, "order", **ORDER)["ok"]
 
 
-def test_of_strangers_that_say_nothing_the_first_gives_its_place_to_the_next(server: PageServer, monkeypatch: Any):
+def test_oldest_silent_connection_is_closed(server: PageServer, monkeypatch: Any):
     monkeypatch.setattr("pancakes.tools.web.page_server.TOKEN_S", 600.0)
     with ExitStack() as stack:
         first, *_ = [stack.enter_context(stranger(server)) for _ in range(MOST_ASIDE + 1)]
@@ -194,7 +194,7 @@ def is_let_in(server: PageServer) -> bool:
 ORDER = {"do": "migrate", "agent": "a", "task": "client/T", "to": "b", "dry_run": True}
 
 
-def test_with_the_token_a_page_may_change_something(server: PageServer, fleet: Fleet):
+def test_page_with_the_token_may_order(server: PageServer, fleet: Fleet):
     assert server.address == f"http://127.0.0.1:{server.port}/#token={server.token}"
     with page(server) as connection:
         assert ask(connection, "hello", token=server.token)["result"] == {"control": True, "title": "a fleet"}
@@ -212,7 +212,7 @@ def test_page_server_does_nothing_without_the_token(server: PageServer, fleet: F
             assert fleet.asked == [] and fleet.looked == [], (asked, token)
 
 
-def test_what_is_asked_before_the_token_is_shown_is_not_answered(server: PageServer, fleet: Fleet):
+def test_question_before_the_token_is_not_answered(server: PageServer, fleet: Fleet):
     with stranger(server) as connection:
         connection.send(json.dumps({"id": 7, "ask": "order", "token": server.token, **ORDER}))
         with pytest.raises(ConnectionClosed, match="open the page at the address that was printed"):
@@ -220,12 +220,12 @@ def test_what_is_asked_before_the_token_is_shown_is_not_answered(server: PageSer
     assert fleet.asked == []
 
 
-def test_a_page_that_says_nothing_is_told_nothing(server: PageServer):
+def test_silent_page_gets_nothing(server: PageServer):
     with stranger(server) as connection, pytest.raises(ConnectionClosed, match="it contains a token"):
         connection.recv(PATIENCE_S)
 
 
-def test_a_page_that_may_only_look_needs_the_token_too(onlooker: PageServer):
+def test_read_only_page_needs_the_token(onlooker: PageServer):
     assert onlooker.address.endswith(f"#token={onlooker.token}")
     with page(onlooker) as connection:
         assert ask(connection, "hello", token=onlooker.token)["result"]["control"] is False
@@ -233,7 +233,7 @@ def test_a_page_that_may_only_look_needs_the_token_too(onlooker: PageServer):
     assert not answer["ok"] and "start it with --control" in answer["reason"]
 
 
-def test_what_an_agent_refuses_or_does_not_answer_is_told(server: PageServer, fleet: Fleet):
+def test_refusal_and_silence_of_an_agent_are_reported(server: PageServer, fleet: Fleet):
     with page(server) as connection:
         ask(connection, "hello", token=server.token)
         fleet.answer = Reply(Refusal("unable", "no neighbour can take T"), {"lines": [1]})
@@ -248,7 +248,7 @@ NONSENSE = ["nonsense", "[1]", '{"ask": "shutdown"}', '{"ask": 7}', '{"ask": "or
 
 
 @pytest.mark.parametrize("message", NONSENSE)
-def test_nonsense_is_refused_and_the_page_goes_on(server: PageServer, message: str):
+def test_malformed_message_is_refused(server: PageServer, message: str):
     with page(server) as connection:
         ask(connection, "hello", token=server.token)
         connection.send(message)
@@ -271,9 +271,7 @@ DEEP = "[" * 7000 + "]" * 7000
         f'{{"id": 7, "ask": "chunk", "t": {DEEP}}}',
     ],
 )
-def test_json_nested_thousands_deep_gets_an_error_and_leaves_no_traceback(
-    server: PageServer, message: str, capfd: Any, caplog: Any
-):
+def test_deeply_nested_json_is_refused(server: PageServer, message: str, capfd: Any, caplog: Any):
     with page(server) as connection:
         connection.send(message)
         connection.send(json.dumps({"id": 8, "ask": "hello"}))
@@ -289,7 +287,7 @@ def test_json_nested_thousands_deep_gets_an_error_and_leaves_no_traceback(
     assert capfd.readouterr().err == "" and caplog.text == ""
 
 
-def test_a_page_asks_why_of_any_command(server: PageServer):
+def test_page_explains_any_command(server: PageServer):
     with page(server) as connection:
         at = ask(connection, "explain", agent="a", type="motors", t=3)["result"]
         assert at["asked"] == ["motors", 3.0, None, 0]
@@ -300,7 +298,7 @@ def test_a_page_asks_why_of_any_command(server: PageServer):
             assert not answer["ok"] and answer["reason"]
 
 
-def test_the_past_is_fetched_in_pieces(server: PageServer, fleet: Fleet):
+def test_past_is_fetched_in_pieces(server: PageServer, fleet: Fleet):
     fleet.feed.record()
     with page(server) as connection:
         assert ask(connection, "chunk", t=0.5)["result"]["key"]["t"] == 1.0
@@ -308,7 +306,7 @@ def test_the_past_is_fetched_in_pieces(server: PageServer, fleet: Fleet):
         assert ask(connection, "chunk", t=10**400)["ok"]
 
 
-def test_another_mission_is_shown_to_pages_that_are_open(server: PageServer):
+def test_open_pages_show_the_next_mission(server: PageServer):
     with page(server) as connection:
         connection.recv(PATIENCE_S)
         other = Feed(lambda: 0.0)

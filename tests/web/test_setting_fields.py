@@ -58,7 +58,7 @@ def made(settings: Walk) -> dict[str, dict[str, Any]]:
     return {it["name"]: it for it in json.loads(msgspec.json.encode(fields))}
 
 
-def test_each_setting_has_a_field_of_its_kind_with_its_bounds_default_and_words():
+def test_setting_has_a_field_of_its_kind():
     fields = made(Walk())
 
     assert {name: it["kind"] for name, it in fields.items()} == {
@@ -93,14 +93,14 @@ def test_each_setting_has_a_field_of_its_kind_with_its_bounds_default_and_words(
     assert fields["anything"]["type"] == "anything"
 
 
-def test_a_table_that_is_there_has_fields_and_one_that_is_not_is_one_value():
+def test_table_has_fields_unless_it_is_null():
     fields = made(Walk(spare=Legs(1.5)))
 
     assert fields["spare.length_m"]["value"] == 1.5
     assert "spare" not in fields
 
 
-def test_what_a_page_cannot_give_back_as_it_is_stays_and_with_it_its_table():
+def test_unchangeable_value_fixes_its_table():
     fields = made(Walk(count=2**53 + 1, name="x" * 3000, legs=Legs(1.0, {str(number): 1.0 for number in range(900)})))
 
     assert fields["count"]["fixed"] == "a number that a browser cannot represent"
@@ -112,7 +112,7 @@ def test_what_a_page_cannot_give_back_as_it_is_stays_and_with_it_its_table():
     assert "fixed" not in fields["step_m"]
 
 
-def test_without_a_schema_each_value_is_shown_and_too_many_are_left_out():
+def test_without_a_schema_values_are_shown():
     fields, left_out = fields_of({}, {"a": 1, "b": {"c": [1]}})
     assert [(it["name"], it["kind"], it["type"], left_out) for it in fields] == [
         ("a", "json", "anything", 0),

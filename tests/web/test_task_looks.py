@@ -1,4 +1,4 @@
-"""What a page is told of one task that a person looks at, and what it may change of it, over real sockets."""
+"""What a page gets about a task that a person looks at, and may change, over real sockets."""
 
 from __future__ import annotations
 
@@ -25,30 +25,30 @@ WITH_STATE = Reply(None, {**TOLD, "state": {"count": 7, "text": "x" * 5000}, "mi
 PLAIN = Reply(None, {**TOLD, "state": "stopped"})
 
 
-def test_a_task_has_its_state_settings_and_timers(server: PageServer, fleet: Fleet):
+def test_task_has_state_settings_and_timers(server: PageServer, fleet: Fleet):
     fleet.looks = {True: WITH_STATE}
     with page(server) as connection:
-        told = ask(connection, "task", **TASK)["result"]
+        result = ask(connection, "task", **TASK)["result"]
     assert fleet.looked == [("a", Describe("client/T", state=True))]
-    assert (told["state"]["rows"][0], told["state"]["t"], told["state"]["cut"]) == (["count", "7"], 1.0, True)
-    assert len(told["state"]["rows"][1][1]) < 120
-    assert told["no_state"] == ""
-    (gain,) = told["settings"]
+    assert (result["state"]["rows"][0], result["state"]["t"], result["state"]["cut"]) == (["count", "7"], 1.0, True)
+    assert len(result["state"]["rows"][1][1]) < 120
+    assert result["no_state"] == ""
+    (gain,) = result["settings"]
     assert (gain["name"], gain["value"], gain["min"], gain["default"]) == ("gain", 2.0, 0, 1.0)
-    assert told["timers"] == [{"timer": "step", "rate_hz": 4.0, "ticks": 7, "missed": 0}]
+    assert result["timers"] == [{"timer": "step", "rate_hz": 4.0, "ticks": 7, "missed": 0}]
 
 
-def test_without_a_state_the_sentence_says_why_and_all_else_is_told(server: PageServer, fleet: Fleet):
+def test_missing_state_has_a_reason(server: PageServer, fleet: Fleet):
     fleet.looks = {True: Reply(Refusal("conflict", "a/client/T is stopped, not running")), False: PLAIN}
     with page(server) as connection:
-        told = ask(connection, "task", **TASK)["result"]
-        assert (told["state"], told["no_state"]) == (None, "a/client/T is stopped, not running")
-        assert told["settings"][0]["value"] == 2.0
+        result = ask(connection, "task", **TASK)["result"]
+        assert (result["state"], result["no_state"]) == (None, "a/client/T is stopped, not running")
+        assert result["settings"][0]["value"] == 2.0
 
         fleet.looks = {True: NoAnswer("nothing came in time"), False: PLAIN}
-        told = ask(connection, "task", agent="b", task="client/T")["result"]
-        assert told["no_state"] == "b/client/T has not told its state within 3 s: it may be busy"
-        assert told["settings"][0]["value"] == 2.0
+        result = ask(connection, "task", agent="b", task="client/T")["result"]
+        assert result["no_state"] == "b/client/T has not told its state within 3 s: it may be busy"
+        assert result["settings"][0]["value"] == 2.0
 
         fleet.looks = {
             True: Reply(Refusal("not_found", "c has no task 'T'")),
@@ -58,9 +58,7 @@ def test_without_a_state_the_sentence_says_why_and_all_else_is_told(server: Page
         assert (refused["ok"], refused["reason"]) == (False, "c has no task 'T'")
 
 
-def test_the_past_has_the_states_that_were_seen_and_an_agent_that_has_gone_the_last_one(
-    server: PageServer, fleet: Fleet
-):
+def test_past_states_are_shown(server: PageServer, fleet: Fleet):
     fleet.feed.take_detail("a", WITH_STATE.result)
     fleet.looks = {True: Unreachable("a cannot be reached")}
     with page(server) as connection:
@@ -73,7 +71,7 @@ def test_the_past_has_the_states_that_were_seen_and_an_agent_that_has_gone_the_l
     assert len(fleet.looked) == 1, "about the past no agent is asked"
 
 
-def test_of_many_pages_that_look_at_a_task_its_agent_is_asked_once(server: PageServer, fleet: Fleet):
+def test_many_pages_ask_an_agent_once(server: PageServer, fleet: Fleet):
     fleet.waiting = []
     with page(server) as one, page(server) as other:
         for connection in (one, one, other):
@@ -90,14 +88,14 @@ def test_of_many_pages_that_look_at_a_task_its_agent_is_asked_once(server: PageS
 @pytest.mark.parametrize(
     "question", [{}, {"agent": "a"}, {"agent": "a", "task": "T"}, {**TASK, "agent": "../a"}, {**TASK, "t": "x"}]
 )
-def test_a_question_about_no_task_is_refused(server: PageServer, fleet: Fleet, question: dict[str, Any]):
+def test_question_without_a_task_is_refused(server: PageServer, fleet: Fleet, question: dict[str, Any]):
     with page(server) as connection:
         answer = ask(connection, "task", **question)
     assert not answer["ok"] and "malformed" in answer["reason"]
     assert fleet.looked == []
 
 
-def test_settings_are_changed_and_a_refusal_names_each_bad_one(server: PageServer, fleet: Fleet):
+def test_refused_settings_are_named(server: PageServer, fleet: Fleet):
     order = {**TASK, "do": "configure", "settings": {"gain": -1}, "dry_run": True}
     problems = {"problems": [{"path": ["gain"], "text": "expected a number >= 0, not -1"}]}
     fleet.answer = Reply(Refusal("invalid", "bad settings for T: gain: expected a number >= 0, not -1"), problems)
@@ -107,7 +105,7 @@ def test_settings_are_changed_and_a_refusal_names_each_bad_one(server: PageServe
     assert (refused["ok"], refused["result"]) == (False, problems)
 
 
-def test_a_page_that_may_only_look_sees_settings_and_changes_none(onlooker: PageServer, fleet: Fleet):
+def test_read_only_page_changes_no_settings(onlooker: PageServer, fleet: Fleet):
     fleet.looks = {True: WITH_STATE}
     with page(onlooker) as connection:
         assert ask(connection, "task", **TASK)["result"]["settings"][0]["value"] == 2.0
@@ -117,7 +115,7 @@ def test_a_page_that_may_only_look_sees_settings_and_changes_none(onlooker: Page
     assert fleet.asked == []
 
 
-def test_more_than_a_page_may_ask_for_reaches_no_agent(server: PageServer, fleet: Fleet):
+def test_oversized_order_reaches_no_agent(server: PageServer, fleet: Fleet):
     big = json.dumps({"id": 7, "ask": "order", **TASK, "do": "configure", "settings": {"a": 10**400}})
     with page(server) as connection:
         many = ask(connection, "order", **TASK, do="configure", settings={f"s{number}": 1 for number in range(65)})

@@ -77,7 +77,7 @@ def settings_of(rig: Rig) -> dict[str, Any]:
 
 
 def shown(part: Any, name: str) -> Any:
-    """Returns the text of a field of the state."""
+    """Return the text of a field of the state."""
     return part.locator(f"dt:text-is('{name}') + dd")
 
 
@@ -88,9 +88,7 @@ def opened_task(browser: Any, address: str, faults: list[str], **options: Any) -
     return page
 
 
-def test_settings_and_rates_are_checked_and_changed_and_the_task_goes_by_them(
-    strolling: Rig, browser: Any, faults: list[str]
-):
+def test_settings_and_rates_are_changed_on_the_page(strolling: Rig, browser: Any, faults: list[str]):
     page = opened_task(browser, view(strolling, "--control"), faults)
     dialog = page.get_by_role("dialog")
     state = dialog.get_by_role("region", name="State", exact=True)
@@ -177,7 +175,7 @@ def test_settings_and_rates_are_checked_and_changed_and_the_task_goes_by_them(
     assert faults == []
 
 
-def test_without_control_all_is_shown_and_the_past_has_its_states(strolling: Rig, browser: Any, faults: list[str]):
+def test_panel_without_control_shows_past_states(strolling: Rig, browser: Any, faults: list[str]):
     page = opened_task(browser, view(strolling), faults, viewport=PHONE, color_scheme="dark")
     dialog = page.get_by_role("dialog")
     state = dialog.get_by_role("region", name="State", exact=True)

@@ -1,4 +1,4 @@
-"""The state of a task is shortened for people, and the timeline keeps what was seen of it."""
+"""The state of a task is shortened for people, and kept in the timeline."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ from pancakes.tools.web.timeline import StateHistory
         (b"\x00\xff", "00 ff (2 bytes)"),
     ],
 )
-def test_a_value_is_a_short_text(value: Any, text: str):
+def test_value_is_shortened(value: Any, text: str):
     assert shortened({"it": value}) == ShortState((("it", text),), False)
 
 
-def test_tables_are_told_by_dotted_names_down_to_a_depth():
+def test_tables_become_dotted_names_to_a_depth():
     deep: Any = 1
     for _ in range(9):
         deep = {"x": deep}
@@ -42,7 +42,7 @@ def test_tables_are_told_by_dotted_names_down_to_a_depth():
     assert short.rows[2] == ("x.x.x.x.x.x", "{x = {x = {x = 1}}}")
 
 
-def test_long_values_are_cut_and_say_how_long_they_are():
+def test_long_values_are_cut_with_their_length():
     short = shortened({"text": "x" * 50, "list": list(range(1000)), "array": np.zeros((30, 20))}, most_chars=20)
 
     assert short.cut
@@ -66,7 +66,7 @@ class Counted(list[Any]):
             yield item
 
 
-def test_a_large_state_takes_no_more_room_than_a_small_one_and_its_rest_is_not_looked_at():
+def test_large_state_is_cut_without_reading_the_rest():
     large = Counted([[0.5] * 100] * 30_000)
     short = shortened({"list": large, "array": np.zeros((300, 300)), **{f"n{it}": it for it in range(10_000)}})
 
@@ -84,7 +84,7 @@ def state(text: str) -> ShortState:
     return ShortState((("it", text),), False)
 
 
-def test_what_was_seen_last_before_a_moment_is_found():
+def test_last_state_before_a_moment_is_found():
     history = StateHistory()
     for t, text in ((1.0, "one"), (2.0, "one"), (5.0, "two")):
         history.add("a/client/T", t, state(text))
@@ -98,7 +98,7 @@ def test_what_was_seen_last_before_a_moment_is_found():
     assert history.at("c/client/T", 99.0) is None
 
 
-def test_it_keeps_so_much_of_the_timeline_and_so_much_memory():
+def test_state_history_is_limited_in_time_and_memory():
     by_time, by_size = StateHistory(span_s=10.0), StateHistory(most_bytes=1000)
     for number in range(100):
         task = f"a/client/T{number % 3}"

@@ -1,4 +1,4 @@
-"""What agents tell of the packets that led to their commands is put together over agents."""
+"""Chains of packets are built from the reports of several agents."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Fleet:
         self.agents["a"].hear((ms + 6) * MS, given)
 
     def ask(self, name: str, ms: int) -> Any:
-        """Asks an agent as the page does; returns the commands of which all is known then."""
+        """Ask an agent as the page does; returns the commands of which all is known then."""
         asked = self.traces.question(name)
         result = self.agents[name].answer(asked, ms * MS)
         self.traces.take(name, asked.packets, result, t=ms / 1e3)
@@ -45,7 +45,7 @@ def fleet() -> Fleet:
     return Fleet()
 
 
-def test_a_chain_is_whole_once_the_agent_that_it_comes_from_was_asked_too(fleet: Fleet):
+def test_chain_over_two_agents_is_completed(fleet: Fleet):
     fleet.react(100, 1)
 
     assert fleet.ask("a", 200) == []
@@ -58,7 +58,7 @@ def test_a_chain_is_whole_once_the_agent_that_it_comes_from_was_asked_too(fleet:
     assert fleet.traces.question("world").packets == ()
 
 
-def test_each_command_comes_once_and_in_its_own_time(fleet: Fleet):
+def test_each_command_is_returned_once_at_its_time(fleet: Fleet):
     found = []
     for seq in range(1, 6):
         fleet.react(100 * seq, seq)
@@ -67,7 +67,7 @@ def test_each_command_comes_once_and_in_its_own_time(fleet: Fleet):
     assert [t for t, _ in found] == pytest.approx([0.106, 0.206, 0.306, 0.406, 0.506])
 
 
-def test_an_agent_that_does_not_answer_is_waited_for_no_longer_than_is_sensible(fleet: Fleet):
+def test_silent_agent_is_waited_for_only_so_long(fleet: Fleet):
     fleet.react(100, 1)
     fleet.ask("a", 200)
 
@@ -76,21 +76,21 @@ def test_an_agent_that_does_not_answer_is_waited_for_no_longer_than_is_sensible(
     assert [step.packet.source for step in command.chain.steps] == ["world/client/Mocap", "a/client/Scan"]
 
 
-def test_of_an_agent_that_nobody_can_ask_nothing_is_waited_for(fleet: Fleet):
+def test_unreachable_agent_is_not_waited_for(fleet: Fleet):
     fleet.traces.forget("world")
     fleet.react(100, 1)
 
     assert len(fleet.ask("a", 200)) == 1
 
 
-def test_commands_that_are_too_many_are_counted(fleet: Fleet):
+def test_surplus_commands_are_counted(fleet: Fleet):
     for seq in range(1, 1001):
         fleet.react(7 * seq, seq)
     fleet.ask("a", 8000)
     assert fleet.traces.left_out("a") > 500
 
 
-def test_who_knows_something_is_asked_sooner(fleet: Fleet):
+def test_agent_with_missing_causes_is_asked_sooner(fleet: Fleet):
     fleet.react(100, 1)
     fleet.ask("a", 200)
     assert (fleet.traces.pause_s("world"), fleet.traces.pause_s("a")) == (SOON_S, BUSY_S)

@@ -9,7 +9,7 @@ from cli.processes import Rig
 from web.browsing import fetched
 
 
-def test_view_serves_its_page_until_it_is_ended(rig: Rig):
+def test_view_serves_its_page_until_stopped(rig: Rig):
     rig.ready("a")
     view = rig.run("-m", "pancakes.tools.cli.main", "view", whole=True)
     address = view.hear("the page is at ").rpartition(" ")[2]
@@ -25,9 +25,9 @@ def test_view_with_control_prints_its_token_as_json(rig: Rig):
     view = rig.run("-u", "-m", "pancakes.tools.cli.main", "view", "--control", "--format", "json", whole=True)
     view.hear("]")
 
-    (told,) = json.loads("\n".join(view.said))
-    assert told["control"] is True
-    assert len(told["address"].partition("#token=")[2]) >= 32
+    (printed,) = json.loads("\n".join(view.said))
+    assert printed["control"] is True
+    assert len(printed["address"].partition("#token=")[2]) >= 32
 
 
 def test_view_names_the_extra_if_its_library_is_missing(rig: Rig):

@@ -1,4 +1,4 @@
-"""What agents would say, for tests without any."""
+"""Sample packets and descriptions of agents, for tests without agents."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def agent(
 
 
 def describe(model: Any, *agents: dict[str, Any], t: float = 0.0, rates: RateMeter | None = None) -> None:
-    """Tells a model what agents say of themselves."""
+    """Tell a model what agents say of themselves."""
     model.describe((rates or RateMeter()).update(agents), agents, t)
 
 
