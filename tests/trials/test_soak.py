@@ -98,10 +98,10 @@ def test_soak_judges_what_is_held_at_rest() -> None:
     assert (least.vitals.threads, least.vitals.sockets, least.pieces, least.time_s) == (7, 6, 150_400, 4.0)
     after = Sample(9.0, vitals(threads=9, sockets=7, files=10), workers=2, state_files=9)
     assert leaks("a", before, after, records=8) == [
-        "a: 9 threads, and 8 would do",
-        "a: 7 sockets, and 6 would do",
-        "a: 8 other open files, and 7 would do",
-        "a: 9 files in its state directory, and 8 would do",
+        "a: 9 threads, at most 8 are allowed",
+        "a: 7 sockets, at most 6 are allowed",
+        "a: 8 other open files, at most 7 are allowed",
+        "a: 9 files in its state directory, at most 8 are allowed",
     ]
     # The file of a task that has come is no leak, nor is the second worker of a pool.
     before = Sample(0.0, vitals(), workers=0, state_files=6)

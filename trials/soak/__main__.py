@@ -1,4 +1,4 @@
-"""`scripts/soak`: a fleet that runs for long, and the verdict whether anything of it leaks, is lost or is doubled."""
+"""`scripts/soak`: run a fleet for long, and judge whether anything leaks, or a task is lost or doubled."""
 
 from __future__ import annotations
 
@@ -24,14 +24,20 @@ LONGEST_WARM_UP_S: Final = 600.0
 
 
 @click.command()
-@click.option("--minutes", type=click.FloatRange(min=0.25), help="How long.  [default: 60, else 10]")
 @click.option(
-    "--agents", type=click.IntRange(2, 250), help="How many.  [default: 4; 50 with --steady, 200 with --virtual]"
+    "--minutes",
+    type=click.FloatRange(min=0.25),
+    help="Duration of the run.  [default: 60; 10 with --steady or --virtual]",
 )
-@click.option("--seed", type=int, help="Draws what is done; the machine draws the rest.  [default: 1]")
-@click.option("--steady", "is_steady", is_flag=True, help="Nothing is done to the agents: does any link end?")
-@click.option("--virtual", "is_virtual", is_flag=True, help="In virtual time, where each task moves once.")
-@click.option("--leak", "leak_bytes", type=click.IntRange(0), help="Each agent loses so many bytes every two seconds.")
+@click.option(
+    "--agents",
+    type=click.IntRange(2, 250),
+    help="Number of agents.  [default: 4; 50 with --steady, 200 with --virtual]",
+)
+@click.option("--seed", type=int, help="Seed of the actions; their timing is not reproducible.  [default: 1]")
+@click.option("--steady", "is_steady", is_flag=True, help="Leave the agents alone, and check that no link ends.")
+@click.option("--virtual", "is_virtual", is_flag=True, help="Run in virtual time; each task migrates once.")
+@click.option("--leak", "leak_bytes", type=click.IntRange(0), help="Make each agent leak N bytes every two seconds.")
 @json_option
 def soak(
     minutes: float | None,
@@ -42,18 +48,18 @@ def soak(
     leak_bytes: int | None,
     json_file: Path | None,
 ) -> None:
-    """Let a fleet run for long while tasks are started, stopped and moved, and agents are killed and come back.
+    """Run a fleet for long while tasks start, stop and migrate, and agents are killed and come back.
 
-    All agents are processes of this machine. The first half of them is never killed: their memory must not grow, and
-    in the end no agent may have more threads, sockets or files than after the warm-up, and each task must run once.
-    Exit code 0 only where all of that is so. With --leak it has to fail: that shows what it would find.
+    All agents are processes of this machine. The first half of them is never killed: their memory must not grow. At
+    the end, no agent may have more threads, sockets or files than after the warm-up, and each task must run once.
+    The exit code is 0 only if all of this holds. With --leak the run must fail: this shows that it finds a leak.
     """
     if is_steady and is_virtual:
-        raise click.UsageError("--steady and --virtual are two runs: one of them at a time.")
+        raise click.UsageError("--steady and --virtual are different runs: choose one of them.")
     if leak_bytes is not None and (is_steady or is_virtual):
-        raise click.UsageError("--leak is neither for --steady nor for --virtual: no leak is looked for there.")
+        raise click.UsageError("--leak does not work with --steady or --virtual: these runs do not look for leaks.")
     if is_steady and seed is not None:
-        raise click.UsageError("--seed is not for --steady: nothing is drawn there.")
+        raise click.UsageError("--seed does not work with --steady: that run has no random actions.")
     if not is_steady and seed is None:
         seed = 1
     duration_s = 60 * (minutes if minutes is not None else 10.0 if is_steady or is_virtual else 60.0)
@@ -79,7 +85,7 @@ def _say(text: str) -> None:
 def steady_figures(directory: Path, agents: int, duration_s: float) -> tuple[dict[str, Any], list[str]]:
     outcome = steady.run(directory, agents, duration_s, _say)
     print(
-        f"an agent takes {outcome.processor_ms:.1f} ms of processor time a second ({os.cpu_count()} cores are here),"
+        f"an agent uses {outcome.processor_ms:.1f} ms of processor time per second ({os.cpu_count()} cores),"
         f" {outcome.memory_kib / 1024:.1f} MiB, and sends {outcome.sent_bytes / 1000:.1f} kB/s"
     )
     return vars(outcome), outcome.faults
@@ -87,7 +93,7 @@ def steady_figures(directory: Path, agents: int, duration_s: float) -> tuple[dic
 
 def virtual_figures(agents: int, duration_s: float, seed: int) -> tuple[dict[str, Any], list[str]]:
     outcome = virtual.run(agents, duration_s, seed, _say)
-    print(f"{agents} agents, {duration_s:.0f} s of virtual time: {outcome.moved} moves, {outcome.links} ends of links")
+    print(f"{agents} agents, {duration_s:.0f} s of virtual time: {outcome.moved} migrations, {outcome.links} link ends")
     return vars(outcome), outcome.faults
 
 
@@ -99,19 +105,19 @@ def _churn(
     for what, count in sorted(outcome.counts.items()):
         print(f"{count:>6} {what}")
     for name, found in outcome.trends.items():
-        rule = f"{SLOPE_MIB_PER_H:g} MiB/h may be" if found.span_s >= LONG_S else f"{GROWTH_MIB:g} MiB in all may be"
+        limit = f"{SLOPE_MIB_PER_H:g} MiB/h" if found.span_s >= LONG_S else f"{GROWTH_MIB:g} MiB in all"
         print(
             f"{name}: memory {found.per_hour:+.2f} MiB/h, {found.growth:+.2f} MiB in the {found.span_s / 60:.0f} min"
-            f" after the warm-up of {warm_up_s / 60:.0f} min ({rule})"
+            f" after the warm-up of {warm_up_s / 60:.0f} min (limit: {limit})"
         )
     for name, (before, *_, after) in ((name, calm) for name, calm in outcome.calm.items() if len(calm) > 1):
         was, now = before.vitals, after.vitals
         if name in outcome.trends:
             more = after.pieces - before.pieces
-            print(f"{name}: at rest {before.pieces} pieces of memory, and then {more:+d} ({MORE_PIECES:+d} may be)")
+            print(f"{name}: {before.pieces} pieces of memory at rest, later {more:+d} (limit: {MORE_PIECES:+d})")
         print(
-            f"{name}: threads {was.threads} and then {now.threads}, sockets {was.sockets} and {now.sockets}, other open"
-            f" files {was.files - before.workers} and {now.files - after.workers}"
+            f"{name}: threads {was.threads}, later {now.threads}; sockets {was.sockets}, later {now.sockets}; other"
+            f" open files {was.files - before.workers}, later {now.files - after.workers}"
         )
     if outcome.trends and not outcome.faults:
         print(shown(min(found.span_s for found in outcome.trends.values())))

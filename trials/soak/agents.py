@@ -1,4 +1,4 @@
-"""Agents as processes of this machine, as many as are wanted, and what their own logs say of each other."""
+"""Run agents as processes of this machine, and follow their logs."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ CONNECTED: Final = " is connected"
 SWEPT: Final = "/client/Sweeper: soak_swept pieces="
 ENDED: Final = "the link to "
 LOOK_S: Final = 0.02
-"""How often their logs are read, where something is waited for."""
+"""How often the logs are read during a wait, in seconds."""
 PATIENCE_S: Final = 30.0
 ENTRY_POINTS: Final = """
 [pancakes.tasks]
@@ -37,21 +37,21 @@ soak = soak.tasks
 
 
 class NotInTime(Exception):
-    """Something did not come about; the sentence says what."""
+    """Something did not happen in time; the sentence says what."""
 
 
 class AgentProcess:
-    """One agent, the life that it lives just now, and what its log has said in that life.
+    """One agent, which may be killed and started again, and the state that its log shows.
 
     Attributes:
         name: its name.
-        address: where it listens, in all of its lives.
+        address: its address, the same in all runs.
         process: its process; None while it is dead.
-        is_ready: whether it has said so.
+        is_ready: whether its log says that it is ready.
         links: the agents that it is connected to.
-        ended: the reasons of links that have ended in all of its lives, with the peer's name.
-        pieces: how many pieces of memory were in use when its rubbish was collected last; 0: never in this life.
-        log: the file that its lives write to.
+        ended: peer and reason of each ended link, of all runs.
+        pieces: how many memory blocks were in use at its last garbage collection; 0: none in this run.
+        log: its log file, of all runs.
     """
 
     def __init__(self, name: str, address: str, config: Path, log: Path) -> None:
@@ -68,7 +68,7 @@ class AgentProcess:
         self._rest = b""
 
     def start(self, server: ForkServer) -> None:
-        """Starts it, or starts it again with the state that it left. It ends with this process."""
+        """Start the agent, or start it again with its former state. It ends with this process."""
         self.is_ready, self.links, self.pieces = False, set(), 0
         with self.log.open("ab") as out:
             if self._file is None:
@@ -77,7 +77,7 @@ class AgentProcess:
             self.process = server.fork(arguments, out.fileno(), None)
 
     def end(self, kill: bool) -> None:
-        """Ends it, with SIGKILL or in good order, and waits for that; it may be dead already."""
+        """Stop the agent, with SIGKILL or gracefully, and wait for its end; it may be dead already."""
         if self.process is None:
             return
         if kill:
@@ -93,14 +93,14 @@ class AgentProcess:
         self.process, self.links, self.is_ready = None, set(), False
 
     def close(self) -> None:
-        """Ends it, and closes its log."""
+        """Kill the agent, and close its log."""
         self.end(kill=True)
         if self._file is not None:
             os.close(self._file)
             self._file = None
 
     def read(self) -> None:
-        """Reads what it has said since."""
+        """Read the new lines of the log."""
         if self._file is None:
             return
         while data := os.read(self._file, 1 << 16):
@@ -127,20 +127,20 @@ class AgentProcess:
 
 
 class Fleet:
-    """Agents that find each other: each is told where the first ones listen, and no more.
+    """Agents that find each other: the configuration of each names only the first ones as peers.
 
-    They have keys, and so have clients in this process while it is entered.
+    The agents have keys. Inside the context, clients of this process have keys, too.
 
     Args:
-        directory: all of their files.
+        directory: the folder for all files.
         names: their names.
-        rest: what follows `[agent]` in the configuration of each, by name.
-        told: how many agents, the first ones, are named to each as peers.
-        addresses: where each listens, by name; None: at a port of this machine that is free.
+        rest: the part after `[agent]` of each configuration, by name.
+        peers: how many agents, the first ones, each configuration names as peers.
+        addresses: the address of each agent, by name; None: free ports of this machine.
 
     Attributes:
-        agents: them, by name.
-        environment: that of their processes, as it is when the first one starts.
+        agents: the agents, by name.
+        environment: the environment of their processes; it is read when the first one starts.
     """
 
     def __init__(
@@ -148,7 +148,7 @@ class Fleet:
         directory: Path,
         names: Sequence[str],
         rest: Mapping[str, str],
-        told: int = 1,
+        peers: int = 1,
         addresses: Mapping[str, str] | None = None,
     ) -> None:
         self.directory = directory
@@ -159,9 +159,9 @@ class Fleet:
         self.agents: dict[str, AgentProcess] = {}
         addresses = addresses or dict(zip(names, free_addresses(len(names)), strict=True))
         for name in names:
-            peers = [addresses[other] for other in names[:told] if other != name]
+            known = [addresses[other] for other in names[:peers] if other != name]
             head = f'schema = 1\n[agent]\nname = "{name}"\nfleet = "soak"\nlisten = "{addresses[name]}"\n'
-            head += f'state_dir = "{self.state_of(name)}"\npeers = {json.dumps(peers)}\n'
+            head += f'state_dir = "{self.state_of(name)}"\npeers = {json.dumps(known)}\n'
             path = directory / f"{name}.toml"
             path.write_text(f"{head}\n{rest.get(name, '')}\n")
             keys.of_agent("soak", name)
@@ -179,24 +179,24 @@ class Fleet:
                 stack.callback(agent.close)
 
     def state_of(self, name: str) -> Path:
-        """Returns the state directory of an agent."""
+        """Return the state directory of an agent."""
         return self.directory / "state" / name
 
     def start(self, *names: str) -> None:
-        """Starts agents, all at once; all of them where none is named."""
+        """Start the named agents at once; without names, all agents."""
         for name in names or self.agents:
             self.agents[name].start(self._server)
 
     def read(self) -> None:
-        """Reads all logs."""
+        """Read all logs."""
         for agent in self.agents.values():
             agent.read()
 
     def until(self, condition: Callable[[], bool], what: str, within_s: float = PATIENCE_S) -> float:
-        """Waits until a condition holds that depends on the logs; returns how long it took, in seconds.
+        """Wait until a condition on the logs holds; return how long it took, in seconds.
 
         Raises:
-            NotInTime: it does not within `within_s`, or an agent has ended by itself.
+            NotInTime: it does not hold within `within_s` seconds, or an agent has ended by itself.
         """
         began_s = time.monotonic()
         while True:
@@ -211,24 +211,24 @@ class Fleet:
             time.sleep(LOOK_S)
 
     def alive(self) -> list[AgentProcess]:
-        """Returns the agents that were started and not ended."""
+        """Return the agents that were started and not ended."""
         return [agent for agent in self.agents.values() if agent.process is not None]
 
     def dead(self) -> list[str]:
-        """Returns the agents that have ended although nobody has ended them."""
+        """Return the agents that have ended by themselves."""
         return [agent.name for agent in self.alive() if agent.process is not None and agent.process.poll() is not None]
 
     def all_ready(self) -> bool:
-        """Returns whether all that run have said that they are ready."""
+        """Return whether all running agents are ready."""
         return all(agent.is_ready for agent in self.alive())
 
     def is_full_mesh(self) -> bool:
-        """Returns whether all that run are connected with all others that do."""
+        """Return whether all running agents are connected with each other."""
         names = {agent.name for agent in self.alive()}
         return all(names - {agent.name} <= agent.links for agent in self.alive())
 
     def missing(self) -> str:
-        """Returns a sentence about the links that are not there."""
+        """Return a sentence about the missing links."""
         names = {agent.name for agent in self.alive()}
         gaps = [
             f"{agent.name}-{other}" for agent in self.alive() for other in sorted(names - agent.links - {agent.name})
@@ -236,22 +236,22 @@ class Fleet:
         return f"{len(gaps)} links are missing: {', '.join(gaps[:10])}" if gaps else "no link is missing"
 
     def ended_links(self) -> Iterator[tuple[str, str, str]]:
-        """Yields the links that have ended so far: the agent that says so, its peer, the reason."""
+        """Yield the links that have ended so far: the agent that reports it, its peer, the reason."""
         for agent in self.agents.values():
             for peer, reason in agent.ended:
                 yield agent.name, peer, reason
 
     def last_words(self, name: str, count: int = 5) -> str:
-        """Returns the last that an agent has said."""
+        """Return the last lines of an agent's log."""
         lines = self.agents[name].log.read_text(errors="replace").splitlines()
         return " | ".join(line.strip() for line in lines[-count:])
 
 
 def bytes_sent(fleet: Fleet) -> tuple[int, float]:
-    """Asks all agents how many bytes they have sent to other agents so far.
+    """Ask all agents how many bytes they have sent to other agents so far.
 
     Returns:
-        The sum of all, without the headers of TCP and IP, and the time at which they were asked.
+        The sum, without the headers of TCP and IP, and the time of the question.
     """
     with Client(Where(tuple(agent.address for agent in fleet.alive()), "soak"), PATIENCE_S) as client:
         rows = client.survey().agents
@@ -260,12 +260,12 @@ def bytes_sent(fleet: Fleet) -> tuple[int, float]:
 
 
 def names_of(count: int) -> list[str]:
-    """Returns the names of so many agents."""
+    """Return the names of `count` agents."""
     return [f"a{number:03d}" for number in range(count)]
 
 
 def free_addresses(count: int) -> list[str]:
-    """Returns addresses of this machine that are free just now; they outlive a restart, which port 0 would not."""
+    """Return free addresses of this machine. Unlike port 0, they stay the same over a restart."""
     with ExitStack() as stack:
         found = []
         for _ in range(count):
@@ -276,7 +276,7 @@ def free_addresses(count: int) -> list[str]:
 
 
 def _offer_tasks(directory: Path) -> dict[str, str]:
-    """Makes a distribution of the tasks; returns the environment of agents that find it."""
+    """Make a distribution with the tasks; return the environment in which agents find it."""
     info = directory / "python" / "pancakes_soak-1.dist-info"
     info.mkdir(parents=True)
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: pancakes-soak\nVersion: 1\n")
@@ -285,7 +285,7 @@ def _offer_tasks(directory: Path) -> dict[str, str]:
     runtime.mkdir(mode=0o700)
     path = [str(info.parent), str(Path(__file__).resolve().parents[1]), os.environ.get("PYTHONPATH", "")]
     return {
-        # Python keeps what it has compiled, as it does by itself: fifty starts at once are to be those of a user.
+        # Python keeps its compiled files, as for a user; otherwise fifty starts at once would take longer.
         **{key: value for key, value in os.environ.items() if key != "PYTHONDONTWRITEBYTECODE"},
         "PYTHONPATH": os.pathsep.join(part for part in path if part),
         "PANCAKES_RUNTIME_DIR": str(runtime),

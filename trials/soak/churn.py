@@ -1,4 +1,4 @@
-"""A live fleet in which something happens all the time, drawn from a seed: the soak."""
+"""The soak: a live fleet in which random things happen all the time, drawn from a seed."""
 
 from __future__ import annotations
 
@@ -21,30 +21,31 @@ from pancakes.control import Configure, Follow, Migrate, Reschedule, Restart, St
 from pancakes.errors import PancakesError
 
 SAMPLE_S: Final = 5.0
-"""How often each process is looked at."""
+"""How often each process is sampled, in seconds."""
 SETTLES_WITHIN_S: Final = 60.0
-"""The longest pauses are those between two dials (10 s) and between two repetitions of a hand-over in doubt."""
+"""How long the fleet may take to settle, in seconds. Some pauses are long: 10 s between two dials, and the pauses
+between the repetitions of a hand-off in doubt."""
 KILLS_EVERY_S: Final = 6.0
-"""An agent is killed that often, on the average."""
+"""The mean time between two kills, in seconds."""
 LOOKS: Final = 6
-"""How often each agent is looked at when it is at rest, each time after its rubbish was collected."""
+"""How many samples are taken of each agent at rest, each after a garbage collection."""
 PAUSE_S: Final = 0.25
-"""Between two things that are asked for, on the average."""
+"""The mean pause between two actions, in seconds."""
 PASSING: Final = ("PassingA", "PassingB")
 OTHER_RECORDS: Final = 7
-"""Files in a state directory besides: the sweeper's, the journal, its lock, mark and identity, fences, recordings."""
+"""Other files in a state directory: the sweeper's, the journal, its lock, mark and identity, fences, recordings."""
 
 
 @dataclass
 class Outcome:
-    """What a soak has found.
+    """The result of a soak.
 
     Attributes:
-        counts: how often each thing was done, and with ` refused` behind it, how often it was refused.
+        counts: how often each action was done, and, with ` refused` appended, how often it was refused.
         trends: the memory of each agent that was never killed, in MiB.
-        samples: what was seen of each agent.
-        calm: what was seen of each agent at rest: after the warm-up, and at the end.
-        faults: a sentence for each thing that must not be; none: it has passed.
+        samples: the samples of each agent.
+        calm: the samples of each agent at rest: after the warm-up, and at the end.
+        faults: a sentence for each fault; empty: the soak has passed.
     """
 
     counts: Counter[str] = field(default_factory=Counter)
@@ -58,15 +59,15 @@ class Churn:
     """One soak.
 
     Args:
-        directory: all files.
-        seed: draws what is done; the machine draws the rest.
-        names: the agents; the first half of them are never killed, so that their memory can be followed.
-        told: takes a line for people.
-        leak_bytes: so much each agent loses on purpose, every two seconds.
+        directory: the folder for all files.
+        seed: the seed of the actions; their timing depends on the machine.
+        names: the agents; the first half of them is never killed, so that its memory can be followed.
+        say: prints a line for people.
+        leak_bytes: how many bytes each agent leaks on purpose, every two seconds.
     """
 
     def __init__(
-        self, directory: Path, seed: int, names: Sequence[str], told: Callable[[str], None], leak_bytes: int = 0
+        self, directory: Path, seed: int, names: Sequence[str], say: Callable[[str], None], leak_bytes: int = 0
     ) -> None:
         self._leak_bytes = leak_bytes
         self.random = random.Random(f"soak/{seed}")
@@ -76,9 +77,9 @@ class Churn:
         self.born = {f"Work{number}": name for number, name in enumerate(self.names)}
         self.work = directory / "work"
         self.work.mkdir()
-        self.fleet = Fleet(directory, self.names, {name: self._rest(name) for name in self.names}, told=len(names))
+        self.fleet = Fleet(directory, self.names, {name: self._rest(name) for name in self.names}, peers=len(names))
         self.outcome = Outcome()
-        self._told = told
+        self._say = say
         self._began_s = time.monotonic()
         self._back: dict[str, float] = {}
         self._seen: dict[str, list[str]] = {}
@@ -98,14 +99,14 @@ class Churn:
             lines.append(f'[task.{worker}]\ntype = "soak.Worker"\ndurability = "{durability}"')
             lines.append(f"settings = {{{settings}}}")
         lines.append(f'[task.Sweeper]\ntype = "soak.Sweeper"\nsettings = {{leak_bytes = {self._leak_bytes}}}')
-        # What it remembers of its log is soon full, and of the same kind from then on.
+        # A small buffer of remembered log lines is full soon, so that it does not count as growth.
         lines.append("[service.log]\nsettings = {remembered = 100}")
         for passing in PASSING:
             lines.append(f'[task.{passing}]\ntype = "soak.Passing"\nstart = false')
         return "\n".join(lines)
 
     def run(self, duration_s: float, warm_up_s: float) -> Outcome:
-        """Runs it: the warm-up, a rest, the rest of the time, and a rest again."""
+        """Run the soak: the warm-up, a rest, the main part, and another rest."""
         with self.fleet:
             try:
                 self._run(duration_s, warm_up_s)
@@ -136,10 +137,10 @@ class Churn:
             line for path in sorted(self.work.glob("*.doubled")) for line in path.read_text().splitlines()
         ]
 
-    # What happens ----------------------------------------------------------------------------------------------
+    # Actions ---------------------------------------------------------------------------------------------------
 
     def _trouble(self, until_s: float) -> None:
-        """Lets things happen until then."""
+        """Do random actions until a time."""
         self._killed_s = time.monotonic() - KILLS_EVERY_S / 2
         with self._asking():
             while (now_s := time.monotonic()) < until_s:
@@ -191,7 +192,7 @@ class Churn:
                 self._ask(kind, agent, Follow("system"))
                 self._ask("unfollow", agent, Unfollow("system"))
             case "look":
-                # Somebody at a terminal, who comes under a name that was never heard before.
+                # A new terminal, whose client has a new name.
                 self.outcome.counts["look"] += 1
                 with Client(Where(tuple(self._addresses()), "soak"), 2.0) as client:
                     self._survey(client)
@@ -202,15 +203,15 @@ class Churn:
         try:
             assert self._client is not None
             done = self._client.request(agent, body, 3.0).ok
-        except PancakesError:  # it is dead, or not yet back
+        except PancakesError:  # the agent is dead, or not back yet
             done = False
         self.outcome.counts[kind if done else f"{kind} refused"] += 1
 
     def _home(self, worker: str) -> str:
-        """Returns the agent on which a worker ran when all were asked last."""
+        """Return the agent on which a worker ran at the last survey."""
         return next((name for name in self.names if worker in self._seen.get(name, ())), self.born[worker])
 
-    # What is seen ----------------------------------------------------------------------------------------------
+    # Samples ---------------------------------------------------------------------------------------------------
 
     @contextmanager
     def _asking(self) -> Iterator[None]:
@@ -225,7 +226,7 @@ class Churn:
         return [self.fleet.agents[name].address for name in self.names]
 
     def _survey(self, client: Client) -> dict[str, list[str]]:
-        """Returns the tasks that run on each agent that answers, and remembers them."""
+        """Return the tasks that run on each agent that answers, and remember them."""
         try:
             rows = client.survey().agents
         except PancakesError:
@@ -249,7 +250,7 @@ class Churn:
             assert agent.process is not None
             try:
                 vitals = vitals_of(agent.process.pid)
-            except OSError:  # it ends just now
+            except OSError:  # it is just ending
                 continue
             kept = [path for path in self.fleet.state_of(agent.name).iterdir() if not path.name.startswith("ledger.")]
             workers = sum(task in self.born for task in self._seen.get(agent.name, ()))
@@ -257,7 +258,7 @@ class Churn:
             self.outcome.samples.setdefault(agent.name, []).append(sample)
 
     def _rest_a_while(self) -> None:
-        """Ends all trouble, waits until each worker runs once, at home, and nothing else does; looks at each agent."""
+        """Stop all actions, wait until only the workers run, each once and at home, and sample each agent."""
         for name in self._back:
             self.fleet.start(name)
         self._back = {}
@@ -271,7 +272,7 @@ class Churn:
                         if passing in self._seen.get(name, ()):
                             self._ask("stop", name, Stop(f"client/{passing}"))
                 for worker, home in self.born.items():
-                    # Each where it was born, so that the agents can be compared with themselves.
+                    # Each worker goes home, so that each agent can be compared with itself.
                     if (away := self._home(worker)) != home:
                         self._ask("move", away, Migrate(f"client/{worker}", to=home))
                 seen = self._survey(self._client)
@@ -285,8 +286,8 @@ class Churn:
                     wrong = {task: copies[task] for task in self.born if copies[task] != 1}
                     raise NotInTime(f"not each task once and at home within {SETTLES_WITHIN_S:g} s: {wrong or seen}")
                 time.sleep(0.2)
-        # What an agent needs only for a while (threads that were lent, links of a terminal that has left) it gives
-        # back within seconds; the fewest of several looks are what it keeps.
+        # An agent gives back temporary things (threads, links of a closed terminal) within seconds, so the least of
+        # several samples counts.
         lowest: dict[str, Sample] = {}
         for _ in range(LOOKS):
             time.sleep(SWEPT_S)
@@ -296,4 +297,4 @@ class Churn:
                 lowest[name] = lowest[name].least(sample) if name in lowest else sample
         for name, sample in lowest.items():
             self.outcome.calm.setdefault(name, []).append(sample)
-        self._told(f"{time.monotonic() - self._began_s:.0f} s: all at rest, each task runs once")
+        self._say(f"{time.monotonic() - self._began_s:.0f} s: all at rest, each task runs once")

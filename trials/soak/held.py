@@ -1,4 +1,4 @@
-"""What an object holds, down to the last list: so that what grows with all that ever happened is found by its name."""
+"""Find all containers that an object holds, so that a container that grows without bound is found by its name."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ class Found(msgspec.Struct, frozen=True):
 
     Attributes:
         name: where it was found, such as `Mesh._sessions`.
-        length: how many things are in it.
-        it: itself, so that no other one gets its identity.
+        length: how many items it has.
+        it: the container itself, so that no other object gets its id.
     """
 
     name: str
@@ -32,18 +32,18 @@ class Found(msgspec.Struct, frozen=True):
 
 
 class Holding(msgspec.Struct, frozen=True):
-    """All that an object holds at one time.
+    """Everything that an object holds at one time.
 
     Attributes:
-        containers: its dictionaries, lists, sets and deques, by their identity.
-        size_bytes: what all objects take together.
+        containers: its dictionaries, lists, sets and deques, by their id.
+        size_bytes: the size of all objects together.
     """
 
     containers: dict[int, Found]
     size_bytes: int
 
     def grown_since(self, before: Holding, by: int) -> list[str]:
-        """Returns a sentence for each container that has so many things more in it than before."""
+        """Return a sentence for each container that has at least `by` items more than before."""
         return sorted(
             f"{now.name} grew from {was.length} to {now.length}"
             for key, now in self.containers.items()
@@ -52,11 +52,11 @@ class Holding(msgspec.Struct, frozen=True):
 
 
 def held_by(root: Any, *left_out: Any) -> Holding:
-    """Looks through all that an object holds. Nothing may run meanwhile.
+    """Search everything that an object holds. Nothing may run meanwhile.
 
     Args:
         root: the object.
-        left_out: objects that are not looked at, nor what only they hold.
+        left_out: objects to skip, with everything that only they hold.
     """
     gc.collect()
     seen = {id(it) for it in left_out}
@@ -81,15 +81,15 @@ def _size_of(it: Any) -> int:
 
 
 def _parts(name: str, it: Any) -> Iterator[tuple[str, Any]]:
-    """Yields what is directly in an object, each with a name for people."""
-    if isinstance(it, types.FunctionType):  # of its module it holds everything, which is nobody's
+    """Yield the parts of an object, each with a name for people."""
+    if isinstance(it, types.FunctionType):  # skip its globals, which are the whole module
         yield from ((f"{it.__qualname__}()", cell) for cell in it.__closure__ or ())
         yield f"{it.__qualname__}()", it.__defaults__
     elif isinstance(it, _SHARED):
         yield name, it.__self__
     elif isinstance(it, (*CONTAINERS, tuple, types.CellType, types.MethodType)):
         yield from ((name, part) for part in gc.get_referents(it))
-        if isinstance(it, dict):  # one of nothing but numbers and text is not known to the collector
+        if isinstance(it, dict):  # the collector does not track a dict of only numbers and strings
             yield from ((name, part) for part in it.values())
     else:
         for attribute, part in _attributes(it):
@@ -103,5 +103,5 @@ def _attributes(it: Any) -> Iterator[tuple[str, Any]]:
     for attribute in {**getattr(it, "__dict__", {}), **dict.fromkeys(slots)}:
         try:
             yield attribute, getattr(it, attribute)
-        except AttributeError:  # a slot that is empty, or private to a base class
+        except AttributeError:  # an empty slot, or one that is private to a base class
             continue

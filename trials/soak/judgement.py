@@ -1,4 +1,4 @@
-"""What a soak's figures mean: pure, so that the verdict itself is tested."""
+"""Judge the figures of a soak. Pure, so that the judgement itself is tested."""
 
 from __future__ import annotations
 
@@ -9,29 +9,29 @@ import msgspec
 from soak.vitals import Vitals
 
 SLOPE_MIB_PER_H = 1.0
-"""Memory may grow that fast, after the warm-up."""
+"""How fast memory may grow after the warm-up."""
 GROWTH_MIB = 2.0
-"""In a shorter span than `LONG_S` memory may grow by so much in all: the system gives and takes it by pages, and what
-is bounded (accounts of moves, the senders that a task has heard) is still being filled.
+"""How much memory may grow in all in a span shorter than `LONG_S`: the system assigns memory in pages, and bounded
+buffers (ledgers of migrations, the senders that a task has heard) are still being filled.
 """
 LONG_S = 2940.0
-"""A span that is long enough for a slope: an hour without its first ten minutes, and without some samples' seconds."""
+"""A span that is long enough to judge a slope: an hour without its first ten minutes and the time of some samples."""
 MORE_PIECES = 6000
-"""So many more pieces of memory may be in use at rest: half of it for what is bounded and still being filled."""
+"""How many more memory blocks may be in use at rest; half of them for bounded buffers that are still being filled."""
 FEWEST_SAMPLES = 10
 SPARE_THREADS = 1
-"""The second worker of an agent's pool is made when it is needed for the first time, and stays."""
+"""An agent's pool may get a second worker thread when it is first needed; it stays."""
 
 
 class Sample(msgspec.Struct, frozen=True):
-    """What was seen of one process at one time.
+    """A sample of one process.
 
     Attributes:
-        time_s: since the soak's beginning.
-        vitals: what it used.
+        time_s: the time since the beginning of the soak.
+        vitals: the resources that it used.
         workers: how many workers ran there; each holds a file open.
-        state_files: how many files its state directory holds, without the ledgers of moves: of these it keeps 100.
-        pieces: how many pieces of memory were in use when its rubbish was collected last; 0: it never was.
+        state_files: how many files its state directory has, without the ledgers of migrations, of which it keeps 100.
+        pieces: how many memory blocks were in use at its last garbage collection; 0: there was none.
     """
 
     time_s: float
@@ -41,7 +41,7 @@ class Sample(msgspec.Struct, frozen=True):
     pieces: int = 0
 
     def least(self, other: Sample) -> Sample:
-        """Returns the least of each figure of two samples."""
+        """Return the least of each figure of two samples."""
         mine, others = (msgspec.structs.asdict(it.vitals) for it in (self, other))
         vitals = Vitals(**{name: min(figure, others[name]) for name, figure in mine.items()})
         pieces = min(self.pieces or other.pieces, other.pieces or self.pieces)
@@ -50,12 +50,11 @@ class Sample(msgspec.Struct, frozen=True):
 
 
 class Trend(msgspec.Struct, frozen=True):
-    """How a figure went over time.
+    """The trend of a figure.
 
     Attributes:
         per_hour: its slope.
-        span_s: the time that was looked at.
-        growth: slope times span.
+        span_s: the time between the first and the last sample.
     """
 
     per_hour: float
@@ -63,15 +62,15 @@ class Trend(msgspec.Struct, frozen=True):
 
     @property
     def growth(self) -> float:
-        """By how much it grew in the span that was looked at."""
+        """How much it grew: slope times span."""
         return self.per_hour * self.span_s / 3600
 
 
 def trend(points: Sequence[tuple[float, float]]) -> Trend:
-    """Returns the slope of a series: the median of the slopes between points of its first and of its last half.
+    """Return the slope of a series: the median of the slopes between points of its first and of its last half.
 
-    A few outliers (a collection of garbage that was due, a burst) do not move it, nor does one step in the middle of
-    a long and level series.
+    A few outliers (a late garbage collection, a burst) do not change it, nor does one step in the middle of a long
+    level series.
 
     Args:
         points: (seconds, figure), in order, at least two.
@@ -83,10 +82,10 @@ def trend(points: Sequence[tuple[float, float]]) -> Trend:
 
 
 def memory_fault(name: str, samples: Sequence[Sample]) -> tuple[str, Trend | None]:
-    """Judges the memory of a process that has lived through all of the samples, taken after the warm-up.
+    """Judge the memory of a process that ran through all samples, which were taken after the warm-up.
 
     Returns:
-        A sentence about what is wrong, or an empty one; and the trend in MiB, None where there are too few samples.
+        A sentence about the fault, empty if there is none; and the trend in MiB, None if there are too few samples.
     """
     if len(samples) < FEWEST_SAMPLES:
         return f"{name}: only {len(samples)} samples of its memory", None
@@ -100,44 +99,44 @@ def memory_fault(name: str, samples: Sequence[Sample]) -> tuple[str, Trend | Non
 
 
 def shown(span_s: float) -> str:
-    """Returns a sentence that says what a run whose memory was followed for so long can show, and what it cannot."""
+    """Return a sentence about which leaks a run of this length can show."""
     if span_s >= LONG_S:
         return f"no agent's memory grows by more than {SLOPE_MIB_PER_H:g} MiB/h"
     least = GROWTH_MIB * 3600 / max(span_s, 1.0)
     return (
-        f"{span_s / 60:.0f} min show a leak of {least:.0f} MiB/h or more, and one of small objects where it comes to"
-        f" {MORE_PIECES} of them; that memory grows by less than {SLOPE_MIB_PER_H:g} MiB/h takes an hour to see"
+        f"{span_s / 60:.0f} min show a leak of at least {least:.0f} MiB/h, or of at least {MORE_PIECES} small objects;"
+        f" a run of an hour shows a growth of {SLOPE_MIB_PER_H:g} MiB/h"
     )
 
 
 def lost_pieces(name: str, before: Sample, after: Sample) -> str:
-    """Compares the memory that an agent has in use at rest, before and after much has happened.
+    """Compare the memory of an agent at rest, before and after many actions.
 
-    It is counted in pieces, of which there is one for most objects. Whatever the system does with its pages, and
-    however short the time, these are the same for the same work.
+    Memory is counted in blocks, about one per object. Unlike the system's pages, their number is the same for the same
+    work, however short the time.
 
     Returns:
-        A sentence about what is wrong, or an empty one.
+        A sentence about the fault; empty if there is none.
     """
     more = after.pieces - before.pieces
     if not before.pieces or not after.pieces:
-        return f"{name}: its rubbish was never collected, so nothing is known of its memory at rest"
+        return f"{name}: it had no garbage collection, so its memory at rest is unknown"
     if more > MORE_PIECES:
-        return f"{name}: {more} more pieces of memory are in use at rest, and {MORE_PIECES} would do"
+        return f"{name}: {more} more pieces of memory are in use at rest, at most {MORE_PIECES} are allowed"
     return ""
 
 
 def leaks(name: str, before: Sample, after: Sample, records: int) -> list[str]:
-    """Compares an agent that does nothing with itself, before and after much has happened.
+    """Compare the resources of an agent at rest, before and after many actions.
 
     Args:
         name: its name.
-        before: what was seen of it then.
-        after: what was seen of it now.
-        records: how many files it may have in its state directory: one for each task that was ever there, and a few.
+        before: its sample before.
+        after: its sample after.
+        records: how many files its state directory may have: one for each task that was ever there, and some others.
 
     Returns:
-        A sentence for each thing of which there is more.
+        A sentence for each resource of which there is more.
     """
     was, now = before.vitals, after.vitals
     pairs = (
@@ -145,7 +144,7 @@ def leaks(name: str, before: Sample, after: Sample, records: int) -> list[str]:
         ("sockets", was.sockets, now.sockets),
         ("other open files", was.files - before.workers, now.files - after.workers),
     )
-    found = [f"{name}: {there} {what}, and {here} would do" for what, here, there in pairs if there > here]
+    found = [f"{name}: {count} {what}, at most {limit} are allowed" for what, limit, count in pairs if count > limit]
     if after.state_files > records:
-        found.append(f"{name}: {after.state_files} files in its state directory, and {records} would do")
+        found.append(f"{name}: {after.state_files} files in its state directory, at most {records} are allowed")
     return found

@@ -1,4 +1,4 @@
-"""The tasks of a soak: they talk to each other, keep state and move; who runs twice is caught by a file lock."""
+"""The tasks of a soak: they exchange packets, keep state and migrate; a file lock finds a task that runs twice."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from pancakes.supervision.task_core import TaskCore
 from pancakes.task import Task, Tick, every, on, reliable
 
 SWEPT_S = 2.0
-"""How often rubbish is collected."""
+"""How often garbage is collected, in seconds."""
 TALK = "talk"
-"""A channel of their own: of `system` only the newest waits for a peer that is slow."""
+"""A channel of their own: on `system`, only the newest packet waits for a slow peer."""
 TALK_HZ = 10.0
-"""So often a talker talks; before, it looks once a second whether it is to, and rests otherwise."""
+"""How often a talker publishes; while it does not talk, it checks once a second whether it should."""
 PIECE_BYTES = 256
-"""Size of a piece of memory that is lost on purpose."""
+"""The size of a memory block that is leaked on purpose."""
 
 
 @packet_type("soak.beat")
 @dataclass(frozen=True, slots=True)
 class Beat:
-    """Told to everybody, time and again."""
+    """A packet to everybody, published periodically."""
 
     count: int
 
@@ -36,7 +36,7 @@ class Beat:
 @packet_type("soak.word")
 @dataclass(frozen=True, slots=True)
 class Word:
-    """Told to one task, wherever that is."""
+    """A letter to one task, on any agent."""
 
     count: int
 
@@ -44,14 +44,14 @@ class Word:
 @packet_type("soak.said")
 @dataclass(frozen=True, slots=True)
 class Said:
-    """Told to one agent, with the time of the machine's clock."""
+    """A packet to one agent, with the time of the machine's clock."""
 
     count: int
     at_s: float
 
 
 class Talker(Task):
-    """Talks to one agent, from when there is a file until it is gone."""
+    """Talks to one agent as long as a file exists."""
 
     @dataclass
     class Settings:
@@ -70,20 +70,20 @@ class Talker(Task):
 
     @every(hz=1)
     def look(self, tick: Tick) -> None:
-        """Begins to talk, or ends, as the file says."""
+        """Begin or stop to talk, if the file has appeared or disappeared."""
         if self._talks is not os.path.exists(self.settings.while_there):
             self._talks = not self._talks
             self.reschedule(TALK_HZ if self._talks else 0.0, "talk")
 
     @every(hz=0)
     def talk(self, tick: Tick) -> None:
-        """Says something."""
+        """Publish the next packet."""
         self.state.said += 1
         self.publish(TALK, Said(self.state.said, time.monotonic()), to=join(self.settings.to, "client/Listener"))
 
 
 class Listener(Task):
-    """Writes down what others say: who, the count, and how long it took."""
+    """Logs the packets of talkers: source, count, and travel time."""
 
     @dataclass
     class Settings:
@@ -99,13 +99,13 @@ class Listener(Task):
 
     @on(TALK, Said, keep=reliable(1024), addressed=True)
     def hear(self, packet: Packet) -> None:
-        """Somebody has said something."""
+        """Log a packet."""
         took_s = time.monotonic() - packet.body.at_s
         os.write(self._file, f"{packet.source} {packet.body.count} {took_s:.6f}\n".encode())
 
 
 class Passing(Task):
-    """Comes and goes; it uses all that a task may use of an agent."""
+    """A task that is started and stopped often, and uses all features of an agent."""
 
     @dataclass
     class Settings:
@@ -123,12 +123,12 @@ class Passing(Task):
         self.after(0.2, self.say_so)
 
     def say_so(self) -> None:
-        """Says that it has begun."""
+        """Log that the task has begun."""
         self.log("debug", f"beats at {self.settings.loudness:g}")
 
     @every(hz=10)
     def beat(self, tick: Tick) -> None:
-        """Tells all agents."""
+        """Publish to all agents."""
         self.state.beats += 1
         self.publish(SYSTEM, Beat(self.state.beats))
         if self.state.beats % 5 == 0:
@@ -138,14 +138,14 @@ class Passing(Task):
 
     @on(SYSTEM, Beat, keep="latest")
     def hear(self, packet: Packet) -> None:
-        """Counts what others tell."""
+        """Count the packets of others."""
         self.state.heard += 1
 
 
 class Worker(TaskCore, Passing):
-    """The same, but there is one of it in the whole fleet, which moves from agent to agent.
+    """The same as a task that exists once in the fleet and migrates from agent to agent.
 
-    It holds a lock while it may act, and writes a line into a file where it finds another at work.
+    It holds a lock while it may act, and writes a line into a file if another instance already has the lock.
     """
 
     __module__ = "pancakes"  # its names are Pancakes' own
@@ -196,30 +196,30 @@ class Worker(TaskCore, Passing):
 
     @every(hz=5)
     def tell(self, tick: Tick) -> None:
-        """Sends a word to another task, wherever that is."""
+        """Send a letter to another task."""
         try:
             self.publish(SYSTEM, Word(self.state.sent + 1), to=f"task:{self.settings.friend}")
         except MailboxFull:
-            return  # too many wait for an agent that is dead: not sent, so not counted
+            return  # too many letters wait for a dead agent: this one is not sent, so not counted
         self.state.sent += 1
 
     @on(SYSTEM, Word, keep=reliable(256))
     def hear(self, packet: Packet) -> None:
-        """Counts the words that it gets."""
+        """Count the letters that arrive."""
         self.state.words += 1
 
 
 class Sweeper(Task):
-    """Sees to it that what grows is a leak: it has rubbish collected, and says how many pieces of memory are in use.
+    """Collects garbage, so that only leaks grow, and reports how many memory blocks are in use.
 
-    By itself Python looks for it only once 10,000 objects more are alive (`pancakes.tools.cli.agent_process`): memory
-    goes up and down by some 2 MiB in a quarter of an hour, and a leak would not be seen in a short run.
+    By itself, Python collects only after 10,000 more objects are alive (`pancakes.tools.cli.agent_process`), so memory
+    varies by some 2 MiB in a quarter of an hour, which would hide a leak in a short run.
     """
 
     @dataclass
     class Settings:
         leak_bytes: int = 0
-        """So much is lost on purpose with each sweep, to see that the soak finds it."""
+        """How many bytes are leaked on purpose with each sweep, to check that the soak finds it."""
 
     settings: Settings
 
@@ -228,7 +228,7 @@ class Sweeper(Task):
 
     @every(period_s=SWEPT_S)
     def sweep(self, tick: Tick) -> None:
-        """Collects it."""
+        """Collect garbage."""
         gc.collect()
         if self.settings.leak_bytes:
             self._lost.append([bytes(PIECE_BYTES - 33) for _ in range(self.settings.leak_bytes // PIECE_BYTES)])
@@ -236,7 +236,7 @@ class Sweeper(Task):
 
 
 class Roamer(Task):
-    """The least that can move, for fleets in virtual time."""
+    """The smallest task that can migrate, for fleets in virtual time."""
 
     @dataclass
     class State:
@@ -246,5 +246,5 @@ class Roamer(Task):
 
     @every(hz=1)
     def tick(self, tick: Tick) -> None:
-        """Counts."""
+        """Count."""
         self.state.ticks += 1

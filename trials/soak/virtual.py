@@ -1,4 +1,4 @@
-"""A large fleet in virtual time: all find each other, every task moves once, and no link ends."""
+"""Run a large fleet in virtual time: all agents find each other, every task migrates once, and no link ends."""
 
 from __future__ import annotations
 
@@ -22,22 +22,22 @@ MEETS_WITHIN_S: Final = 5.0
 MOVES_WITHIN_S: Final = 10.0
 FIRST_PORT: Final = 7400
 FEW: Final = 100
-"""A larger fleet has beacons every 5 s, and heartbeats where nothing was sent for 5 s, as its user would choose: with
-the defaults two hundred agents send 80,000 messages a second, and one thread takes longer than a second for these.
+"""A larger fleet gets beacons and heartbeats every 5 s, as its user would choose: with the defaults, two hundred agents
+send 80,000 messages a second, which takes one thread longer than a second.
 """
 
 
 @dataclass
 class Outcome:
-    """What was found.
+    """The result of a virtual run.
 
     Attributes:
-        agents: how many there were.
-        links: how many there are, each counted at both ends.
-        met_s: virtual time until each was connected with each.
-        moved: how many tasks have moved to the next agent.
-        wall_s: how long it took on this machine.
-        faults: a sentence for each thing that must not be; none: it has passed.
+        agents: the number of agents.
+        links: the number of links, each counted at both ends.
+        met_s: virtual time until all were connected with each other.
+        moved: how many tasks have migrated to the next agent.
+        wall_s: how long the run took on this machine.
+        faults: a sentence for each fault; empty: the run has passed.
     """
 
     agents: int
@@ -48,14 +48,14 @@ class Outcome:
     faults: list[str] = field(default_factory=list)
 
 
-def run(agents: int, duration_s: float, seed: int, told: Callable[[str], None]) -> Outcome:
-    """Starts so many agents at once, lets each give its task to the next one, and watches them for a while.
+def run(agents: int, duration_s: float, seed: int, say: Callable[[str], None]) -> Outcome:
+    """Start a number of agents at once, migrate the task of each to the next one, and watch them for a while.
 
     Args:
-        agents: how many.
-        duration_s: for how long in all, in virtual time.
-        seed: of the fleet.
-        told: takes a line for people, now and then.
+        agents: the number of agents.
+        duration_s: the duration of the run, in virtual time.
+        seed: the seed of the fleet.
+        say: prints a line for people.
     """
     began_s = time.monotonic()
     outcome = Outcome(agents)
@@ -69,12 +69,12 @@ def run(agents: int, duration_s: float, seed: int, told: Callable[[str], None]) 
         config = parse(_config(name, number, agents), name)
         agent = fleet.start_config(config, settle=False, probe=False)
         agent.kernel.stream.tap(LOG, _watch(agent.agent, outcome))
-    # Each link is told of at both of its ends; to ask all agents after each step would cost more than the fleet.
+    # Links are counted from events, once at each end: asking all agents after each step would cost more than the fleet.
     if not fleet.run_until(lambda: outcome.links >= agents * (agents - 1), MEETS_WITHIN_S):
-        outcome.faults.append(f"not all have met within {MEETS_WITHIN_S:g} s")
+        outcome.faults.append(f"not all were connected within {MEETS_WITHIN_S:g} s")
     outcome.met_s = fleet.now()
-    gc.freeze()  # all that stands now stays; to look through it time and again takes a third of the whole time
-    told(f"{agents} agents had met after {outcome.met_s:.3f} s of virtual time ({wall_s():.0f} s here)")
+    gc.freeze()  # the present objects stay; scanning them again and again would take a third of the whole time
+    say(f"{agents} agents were connected after {outcome.met_s:.3f} s of virtual time ({wall_s():.0f} s here)")
     for name, to in zip(names, [*names[1:], names[0]], strict=True):
         kernel = fleet.agents[name].kernel
         body = Migrate(f"client/Roamer-{name}", to=to)
@@ -89,12 +89,12 @@ def run(agents: int, duration_s: float, seed: int, told: Callable[[str], None]) 
         outcome.moved += homes == [to]
         if homes != [to]:
             outcome.faults.append(f"the task of {name} is on {', '.join(homes) or 'no agent'}, and not on {to}")
-    told(f"{outcome.moved} tasks have moved ({wall_s():.0f} s here)")
+    say(f"{outcome.moved} tasks have migrated ({wall_s():.0f} s here)")
     while fleet.now() < duration_s:
         fleet.run_for(min(60.0, duration_s - fleet.now()))
-        told(f"{fleet.now():.0f} s of virtual time ({wall_s():.0f} s here)")
+        say(f"{fleet.now():.0f} s of virtual time ({wall_s():.0f} s here)")
     if outcome.links != agents * (agents - 1):
-        outcome.faults.append("in the end not all are connected with all")
+        outcome.faults.append("at the end not all are connected with each other")
     outcome.wall_s = wall_s()
     fleet.close()
     gc.unfreeze()
@@ -125,7 +125,7 @@ type = "soak.Roamer"
 def _watch(agent: Agent, outcome: Outcome) -> Callable[[Packet], None]:
     def hear(packet: Packet) -> None:
         body = packet.body
-        if not isinstance(body, Event) or outcome.wall_s:  # in the end all of them stop
+        if not isinstance(body, Event) or outcome.wall_s:  # at the end, all agents stop
             return
         if body.kind == "peer_up":
             outcome.links += 1

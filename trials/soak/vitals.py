@@ -1,4 +1,4 @@
-"""What the operating system says of a process: processor time, memory, threads, what it holds open."""
+"""Read the resources of a process from the operating system: processor time, memory, threads, open files."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ import msgspec
 
 
 class Vitals(msgspec.Struct, frozen=True):
-    """What one process uses.
+    """The resources of one process.
 
     Attributes:
         rss_kib: resident memory.
-        pss_kib: the same, of what is shared only its share.
-        threads: how many.
-        sockets: file descriptors that are sockets.
-        files: all other file descriptors.
+        pss_kib: proportional memory: of shared pages, only its share.
+        threads: the number of threads.
+        sockets: the number of open sockets.
+        files: the number of other open file descriptors.
     """
 
     rss_kib: int
@@ -28,10 +28,10 @@ class Vitals(msgspec.Struct, frozen=True):
 
 
 def vitals_of(pid: int) -> Vitals:
-    """Looks at a process.
+    """Read the resources of a process.
 
     Raises:
-        OSError: it is not there any more.
+        OSError: the process has ended.
     """
     place = Path("/proc") / str(pid)
     memory: dict[str, int] = {}
@@ -50,10 +50,10 @@ def vitals_of(pid: int) -> Vitals:
 
 
 def processor_s(pid: int) -> float:
-    """Returns the processor time that a process has used, in seconds.
+    """Return the processor time that a process has used, in seconds.
 
     Raises:
-        OSError: it is not there any more.
+        OSError: the process has ended.
     """
     # How Linux builds the number of another process's clock (clock_getcpuclockid).
     return time.clock_gettime((~pid << 3) | 2)
