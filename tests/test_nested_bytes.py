@@ -73,7 +73,7 @@ def test_on_the_command_line():
 
 def test_in_the_events_of_a_demo(tmp_path: Path):
     (tmp_path / "events.jsonl").write_bytes(JSON + b"\n")
-    with pytest.raises(PancakesError, match=r"events.jsonl: line 1 is no event: it is nested too deep"):
+    with pytest.raises(PancakesError, match=r"events.jsonl: line 1 is not an event: it is nested too deep"):
         read_events(tmp_path)
 
 

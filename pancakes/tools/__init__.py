@@ -1,1 +1,1 @@
-"""What people use: the command line, fleets, demos, the page, recordings."""
+"""The tools for people: the command line, fleets, demos, the page, recordings."""

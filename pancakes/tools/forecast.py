@@ -1,18 +1,18 @@
-"""What a change would do to a fleet, worked out from what was measured of it. Pure: figures in, expectations out.
+"""Forecast what a change would do to a fleet, from measured figures. Pure: figures in, expectations out.
 
-How it is known:
+The model:
 
-- A task's load is the processor time of its turns. With it goes its part of what the agent does besides turns (timer,
-  network), by the number of its turns: none of it at the least, all of it at the most, and half as the expectation.
-- A rate changes the ticks of one timer alone, each of which takes what the measured ones took on the average.
-- Another computer takes longer or shorter, as a fixed piece of Python does there.
-- Python computes on one processor at a time. An agent whose tasks want more misses ticks: of each processor that is
-  wanted, all beyond one. Below that a tick that has to wait longer than its period for the turns of others is missed;
-  waits are those of a queue with one server, random arrivals and random service (M/M/1), with the measured turns.
-- A battery is drained as it was, or in proportion to its agent's load: the truth lies between.
+- A task's load is the processor time of its turns. A part of the agent's other work (timer, network), in proportion to
+  its turns, may belong to the task, too: at least none of it, at most all of it, and half is expected.
+- A rate changes the ticks of only one timer. Each tick takes the mean time of the measured ticks.
+- On another computer, a task takes longer or shorter by the same factor as a fixed piece of Python.
+- Python computes on one processor at a time. If the tasks of an agent need more than one processor, the excess share of
+  ticks is missed. Below that, a tick is missed if it waits longer than its period for the turns of other tasks. Waiting
+  times are those of a queue with one server, random arrivals and random service (M/M/1), with the measured turns.
+- A battery drains at the measured rate, or in proportion to its agent's load: the truth lies between.
 
-How sure it is: twice the standard error of the mean tick, the part of the timers and the network, and 5 % for another
-computer, which is measured by one piece of Python alone.
+The bounds include twice the standard error of the mean tick, the share of timers and network, and 5 % for another
+computer, because only one piece of Python measures its speed.
 """
 
 from __future__ import annotations
@@ -27,21 +27,21 @@ import msgspec
 from pancakes.errors import PancakesError
 
 OTHER_HOST_SHARE: Final = 0.05
-"""So far a task's load on another computer may be off, as a share of it, for all that the yardstick says."""
+"""The error of a task's load on another computer that the yardstick does not show, as a share of the load."""
 FULL_SHARE: Final = 0.95
-"""A computer that is busier than this gives an agent no more, where other programs want it too."""
+"""The busy share above which a computer may not give an agent more processor time."""
 ROUNDING: Final = 1e-9
-"""A difference of loads that is smaller is none."""
+"""Smaller differences of loads count as none."""
 FEWEST_TICKS: Final = 5
-"""With fewer ticks it is not known what one takes."""
+"""The fewest ticks from which the time of a tick is known."""
 
 
 class NotKnown(PancakesError):
-    """What was measured does not say what a change would do; the message says what to do about that."""
+    """The measurement does not allow a forecast of this change; the message says what to do."""
 
 
 class MeasuredTimer(msgspec.Struct, frozen=True):
-    """What was measured of a time-driven method; see `pancakes.control.Measure`, as for all figures."""
+    """The figures of a time-driven method; all figures are described in `pancakes.control.Measure`."""
 
     timer: str
     rate_hz: float
@@ -52,7 +52,7 @@ class MeasuredTimer(msgspec.Struct, frozen=True):
 
 
 class MeasuredTask(msgspec.Struct, frozen=True):
-    """What was measured of a task."""
+    """The figures of a task."""
 
     service: str
     task: str
@@ -65,7 +65,7 @@ class MeasuredTask(msgspec.Struct, frozen=True):
 
 
 class MeasuredHost(msgspec.Struct, frozen=True):
-    """What was measured of a computer."""
+    """The figures of a computer."""
 
     id: str
     processors: int
@@ -74,14 +74,14 @@ class MeasuredHost(msgspec.Struct, frozen=True):
 
 
 class MeasuredBattery(msgspec.Struct, frozen=True):
-    """What was left of a battery before and after the measurement, 0 to 1; None: there is none."""
+    """The level of a battery before and after the measurement, 0 to 1; None without a battery."""
 
     before: float | None = None
     after: float | None = None
 
 
 class MeasuredAgent(msgspec.Struct, frozen=True):
-    """What was measured of an agent."""
+    """The figures of an agent."""
 
     agent: str
     speed: float
@@ -95,31 +95,32 @@ class MeasuredAgent(msgspec.Struct, frozen=True):
 
     @property
     def load(self) -> float:
-        """Processors that it takes: 1 is one that is busy all the time."""
+        """The agent's load in processors: 1 is one processor that is always busy."""
         return self.processor_s / self.span_s
 
     @property
     def besides_s(self) -> float:
-        """Processor time beside turns, for each turn: timer, network, kernel."""
+        """The processor time outside of turns (timer, network, kernel), per turn."""
         return max(0.0, self.processor_s - self.turn_s) / self.turns if self.turns else 0.0
 
     def task(self, name: str, service: str = "") -> MeasuredTask:
         """Return one of its tasks.
 
         Raises:
-            NotKnown: it has none of this name, or several.
+            NotKnown: the agent has no task of this name, or several.
         """
         found = [it for it in self.tasks if it.task == name and service in ("", it.service)]
         if len(found) == 1:
             return found[0]
         if found:
-            raise NotKnown(f"{self.agent} has {name!r} in {' and in '.join(it.service for it in found)}: say which")
+            services = " and in ".join(it.service for it in found)
+            raise NotKnown(f"{self.agent} has {name!r} in {services}: name the service too")
         raise NotKnown(f"{self.agent} has no task {name!r}, only {', '.join(it.task for it in self.tasks) or 'none'}")
 
 
 @dataclass(frozen=True, slots=True)
 class Expected:
-    """A figure that is expected, and the bounds between which it should lie."""
+    """An expected figure, and its bounds."""
 
     value: float
     low: float
@@ -129,35 +130,35 @@ class Expected:
         return Expected(self.value + other.value, self.low + other.low, self.high + other.high)
 
     def times(self, factor: float) -> Expected:
-        """Return a multiple of it; a negative one exchanges the bounds."""
+        """Return the figure times a factor; a negative factor exchanges the bounds."""
         low, high = sorted((self.low * factor, self.high * factor))
         return Expected(self.value * factor, low, high)
 
     def within(self, least: float, most: float) -> Expected:
-        """Return it with no part below `least` or above `most`."""
+        """Return the figure and its bounds, clipped to `least` and `most`."""
         return Expected(*(min(max(it, least), most) for it in (self.value, self.low, self.high)))
 
     @property
     def sure_share(self) -> float:
-        """How far it may be off, as a share of it; infinity for 0 that may be something."""
+        """The largest error as a share of the value; infinity if the value is 0 and a bound is not."""
         off = max(self.high - self.value, self.value - self.low)
         return off / abs(self.value) if self.value else (math.inf if off else 0.0)
 
 
 @dataclass(frozen=True, slots=True)
 class AgentForecast:
-    """What a change would do to one agent. Loads of agents are in processors, those of hosts shares of all.
+    """The effect of a change on one agent. Loads of agents are in processors, those of hosts are shares of all.
 
     Attributes:
         agent: the agent.
-        load: now.
-        load_after: after the change.
-        host_load: of its computer, now.
-        host_load_after: after the change.
-        missed_hz: ticks that it misses for each second of host time, now.
-        missed_hz_after: after the change.
-        battery_s: seconds of host time until its battery is empty, if all goes on as measured; None: not known.
-        battery_after_s: after the change.
+        load: its present load.
+        load_after: its load after the change.
+        host_load: the present load of its computer.
+        host_load_after: the load of its computer after the change.
+        missed_hz: the ticks that it misses per second of host time now.
+        missed_hz_after: the ticks that it would miss after the change.
+        battery_s: seconds of host time until its battery is empty, if all continues as measured; None: unknown.
+        battery_after_s: the same after the change.
     """
 
     agent: str
@@ -173,12 +174,12 @@ class AgentForecast:
 
 @dataclass(frozen=True, slots=True)
 class Forecast:
-    """What a change would do.
+    """The effect of a change.
 
     Attributes:
-        agents: each agent that it concerns.
-        known_from: what that is known from, as sentences.
-        notes: what it does not know or what stands out, as sentences.
+        agents: the effect on each agent concerned.
+        known_from: the figures that the forecast is based on, as sentences.
+        notes: unknowns and peculiarities, as sentences.
     """
 
     agents: tuple[AgentForecast, ...]
@@ -186,13 +187,13 @@ class Forecast:
     notes: tuple[str, ...]
 
     def of(self, agent: str) -> AgentForecast:
-        """Return what it would do to an agent."""
+        """Return the effect on an agent."""
         return next(it for it in self.agents if it.agent == agent)
 
 
 @dataclass(frozen=True, slots=True)
 class _Ticks:
-    """The ticks of a timer: how many are wanted for each second of host time, and what each takes."""
+    """The ticks of a timer: the wanted rate per second of host time, and the processor time of each tick."""
 
     hz: float
     each_s: float
@@ -200,21 +201,21 @@ class _Ticks:
 
 @dataclass
 class _Change:
-    """What is different about an agent after a change."""
+    """The differences of an agent after a change."""
 
     load: Expected = field(default_factory=lambda: Expected(0.0, 0.0, 0.0))
     host_load: Expected = field(default_factory=lambda: Expected(0.0, 0.0, 0.0))
-    """In processors, as that of the agent; what goes on on the same computer makes no difference to it."""
+    """In processors, like the agent's load; a migration within the same computer does not change it."""
     ticks: dict[tuple[str, str], _Ticks] = field(default_factory=dict)
-    """By task and timer: its ticks, where they change."""
+    """The ticks that change, by task and timer."""
     gone: bool = False
 
 
 def forecast_move(fleet: Sequence[MeasuredAgent], source: str, task: str, to: str, service: str = "") -> Forecast:
-    """Return what the move of a task would do.
+    """Return the effect of a task's migration.
 
     Raises:
-        NotKnown: there is no such agent or task, it does not run, or it is there already.
+        NotKnown: the agent or the task does not exist, or the task does not run or is there already.
     """
     moved = _of(fleet, source).task(task, service)
     if source == to:
@@ -228,29 +229,29 @@ def forecast_move(fleet: Sequence[MeasuredAgent], source: str, task: str, to: st
 def forecast_rate(
     fleet: Sequence[MeasuredAgent], agent: str, task: str, rate_hz: float, timer: str = "", service: str = ""
 ) -> Forecast:
-    """Return what another rate of a task's timer would do; without a name its first.
+    """Return the effect of another rate of a task's timer; without a name, of its first timer.
 
     Args:
-        rate_hz: ticks for each second of mission time.
+        rate_hz: ticks per second of mission time.
 
     Raises:
-        NotKnown: there is no such agent, task or timer, or too few ticks to know what one takes.
+        NotKnown: the agent, the task or the timer does not exist, or there were too few ticks to measure them.
     """
     figures = _of(fleet, agent)
     changed = figures.task(task, service)
     if not (math.isfinite(rate_hz) and rate_hz >= 0.0):
-        raise NotKnown(f"{rate_hz} is no rate: it is a number of ticks a second, 0 or more")
+        raise NotKnown(f"{rate_hz} is not a rate: give a number of ticks per second, 0 or more")
     timers = [it for it in changed.timers if timer in ("", it.timer)]
     if not timers:
-        have = ", ".join(it.timer for it in changed.timers)
+        names = ", ".join(it.timer for it in changed.timers)
         raise NotKnown(
-            f"{agent}/{task} has no timer {timer!r}, only {have}" if have else f"{agent}/{task} has no timer"
+            f"{agent}/{task} has no timer {timer!r}, only {names}" if names else f"{agent}/{task} has no timer"
         )
     found = timers[0]
     if found.ticks < FEWEST_TICKS:
         raise NotKnown(
-            f"{agent}/{task} ticked {found.ticks} times in {figures.span_s:.1f} s, which does not say what a tick"
-            " takes: measure longer (--for 30s)"
+            f"{agent}/{task} ticked {found.ticks} times in {figures.span_s:.1f} s, which is too few for a forecast:"
+            " measure longer (--for 30s)"
         )
     each_s = found.tick_s / found.ticks
     wanted_hz = rate_hz * figures.speed
@@ -261,22 +262,22 @@ def forecast_rate(
     notes = []
     if each_s * wanted_hz > 1.0:
         notes.append(
-            f"a tick of {agent}/{task} takes {each_s * 1e3:.3g} ms of processor time: more than {1.0 / each_s:.3g} do"
-            " not fit into a second"
+            f"a tick of {agent}/{task} takes {each_s * 1e3:.3g} ms of processor time: at most {1.0 / each_s:.3g} fit"
+            " into a second"
         )
     return _forecast(fleet, {agent: change}, notes)
 
 
 def forecast_without(fleet: Sequence[MeasuredAgent], agent: str, places: Mapping[str, str]) -> Forecast:
-    """Return what it would do if an agent went, and its tasks that can move went to others before.
+    """Return the effect of an agent's departure after the migration of its tasks.
 
     Args:
-        fleet: what was measured.
-        agent: the agent that goes.
-        places: by task, as `service/task`: the agent that it goes to. Others end with the agent.
+        fleet: the measured figures.
+        agent: the agent that leaves.
+        places: the destination of each task, by `service/task`. Tasks without one end with the agent.
 
     Raises:
-        NotKnown: there is no such agent.
+        NotKnown: the agent does not exist.
     """
     figures = _of(fleet, agent)
     changes: dict[str, _Change] = {}
@@ -289,8 +290,8 @@ def forecast_without(fleet: Sequence[MeasuredAgent], agent: str, places: Mapping
         elif task.state == "running" and task.service not in ("device", "network", "log"):
             ending.append(task.task)
     if ending:
-        notes.append(f"with {agent} end {', '.join(ending)}: no other agent takes them")
-    # What its tasks take stays on this computer where they go to an agent on it.
+        notes.append(f"{', '.join(ending)} would end with {agent}: no other agent takes them")
+    # The load of tasks that migrate to another agent of the same computer stays on this computer.
     kept = Expected(0.0, 0.0, 0.0)
     for other, change in changes.items():
         if other != agent and _of(fleet, other).host.id == figures.host.id:
@@ -307,36 +308,36 @@ def _move(
     target: MeasuredAgent,
     notes: list[str],
 ) -> None:
-    """Add the move of a task to what changes."""
+    """Add the migration of a task to the changes."""
     if moved.state != "running":
-        raise NotKnown(f"{source.agent}/{moved.task} is {moved.state}: a task that does not run takes nothing along")
+        raise NotKnown(f"{source.agent}/{moved.task} is {moved.state}: only a running task has a load to forecast")
     off_s = sum(_standard_errors(timer) for timer in moved.timers)
     besides_s = source.besides_s * moved.turns
     load = _uncertain(moved.turn_s, off_s, besides_s).times(1.0 / source.span_s)
-    there = load
+    load_there = load
     if target.host.id != source.host.id:
         ratio = target.host.yardstick_s / source.host.yardstick_s
-        wide = load.times(ratio)
-        off = OTHER_HOST_SHARE * wide.value
-        there = Expected(wide.value, max(0.0, wide.low - off), wide.high + off)
+        scaled = load.times(ratio)
+        error = OTHER_HOST_SHARE * scaled.value
+        load_there = Expected(scaled.value, max(0.0, scaled.low - error), scaled.high + error)
         notes.append(
             f"{target.agent} is on another computer, on which a piece of Python takes {ratio:.2f} times as long as on"
-            f" {source.agent}'s"
+            f" the computer of {source.agent}"
         )
     leaving = changes.setdefault(source.agent, _Change())
     arriving = changes.setdefault(target.agent, _Change())
     leaving.load += load.times(-1.0)
-    arriving.load += there
+    arriving.load += load_there
     if target.host.id != source.host.id:
         leaving.host_load += load.times(-1.0)
-        arriving.host_load += there
+        arriving.host_load += load_there
     for timer in moved.timers:
         key = (f"{moved.service}/{moved.task}", timer.timer)
         ticks = _ticks(timer, source.speed)
         leaving.ticks[key] = _Ticks(0.0, ticks.each_s)
         arriving.ticks[key] = ticks
     if not moved.turns:
-        notes.append(f"{source.agent}/{moved.task} had no turn in {source.span_s:.1f} s: what it takes is not known")
+        notes.append(f"{source.agent}/{moved.task} had no turn in {source.span_s:.1f} s, so its load is unknown")
 
 
 def _forecast(fleet: Sequence[MeasuredAgent], changes: Mapping[str, _Change], notes: list[str]) -> Forecast:
@@ -361,17 +362,17 @@ def _forecast(fleet: Sequence[MeasuredAgent], changes: Mapping[str, _Change], no
 
 
 def _agent(figures: MeasuredAgent, change: _Change, host_change: Expected, notes: list[str]) -> AgentForecast:
-    # An agent that takes more than one processor already has tasks that compute outside of Python.
+    # If an agent already uses more than one processor, its tasks compute outside of Python.
     most = max(1.0, figures.load)
     wanted = change.load + Expected(*3 * (figures.load,))
     if wanted.value > most and not change.gone:
         notes.append(
-            f"the tasks of {figures.agent} would want {wanted.value:.2f} processors, and Python computes on one"
+            f"the tasks of {figures.agent} would need {wanted.value:.2f} processors, but Python computes on only one"
         )
     host_load = figures.host.busy_share
     host_after = host_change + Expected(*3 * (host_load,))
     if host_after.value > FULL_SHARE and host_change.value > 0.0 and change.load.value > 0.0:
-        notes.append(f"the computer of {figures.agent} would be full: {figures.agent} may not get what it wants")
+        notes.append(f"the computer of {figures.agent} would be full: {figures.agent} may get too little of it")
         wanted = Expected(wanted.value, min(wanted.low, figures.load), wanted.high)
     missed_hz = sum(timer.missed for task in figures.tasks for timer in task.timers) / figures.span_s
     left_s, left_after_s = _battery(figures, change)
@@ -389,22 +390,22 @@ def _agent(figures: MeasuredAgent, change: _Change, host_change: Expected, notes
 
 
 def _missed(figures: MeasuredAgent, change: _Change, wanted: Expected) -> Expected:
-    """Return the ticks that would be missed: those of the timers that stay, and by how much the model changes."""
+    """Return the ticks that would be missed: the measured ones of timers that stay, plus the change in the model."""
     if change.gone:
         return Expected(0.0, 0.0, 0.0)
     ticks: dict[tuple[str, str], _Ticks] = {}
-    stay_hz = 0.0
+    staying_hz = 0.0
     for task in figures.tasks:
         for timer in task.timers:
             key = (f"{task.service}/{task.task}", timer.timer)
             ticks[key] = _ticks(timer, figures.speed)
             then = change.ticks.get(key, ticks[key])
-            stay_hz += timer.missed / figures.span_s * (then.hz / ticks[key].hz if ticks[key].hz else 0.0)
+            staying_hz += timer.missed / figures.span_s * (then.hz / ticks[key].hz if ticks[key].hz else 0.0)
     turn_s = figures.turn_s / figures.turns if figures.turns else 0.0
     before_hz = _late_hz(ticks.values(), figures.load, turn_s)
-    all_then = {**ticks, **change.ticks}.values()
-    after_hz = [_late_hz(all_then, load, turn_s) for load in (wanted.value, wanted.low, wanted.high)]
-    return Expected(*(max(0.0, stay_hz + hz - before_hz) for hz in after_hz))
+    ticks_after = {**ticks, **change.ticks}.values()
+    after_hz = [_late_hz(ticks_after, load, turn_s) for load in (wanted.value, wanted.low, wanted.high)]
+    return Expected(*(max(0.0, staying_hz + hz - before_hz) for hz in after_hz))
 
 
 def _ticks(timer: MeasuredTimer, speed: float) -> _Ticks:
@@ -412,7 +413,7 @@ def _ticks(timer: MeasuredTimer, speed: float) -> _Ticks:
 
 
 def _late_hz(timers: Iterable[_Ticks], load: float, turn_s: float) -> float:
-    """Return the ticks a second that would wait longer than their period for the turns of others."""
+    """Return the ticks per second that would wait longer than their period for the turns of other tasks."""
     missed_hz = 0.0
     for ticks in timers:
         others = load - ticks.hz * ticks.each_s - ROUNDING
@@ -441,7 +442,7 @@ def _of(fleet: Sequence[MeasuredAgent], agent: str) -> MeasuredAgent:
 
 
 def _uncertain(value: float, off: float, besides: float) -> Expected:
-    """Return what is measured and may be off, with half of what may go with it or not."""
+    """Return a measured value with its error, and with half of the work that may or may not belong to it."""
     return Expected(value + 0.5 * besides, max(0.0, value - off), value + off + besides)
 
 

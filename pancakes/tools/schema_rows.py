@@ -1,4 +1,4 @@
-"""A JSON Schema as rows for people: what may be set, of which type, within which bounds."""
+"""Turn a JSON Schema into rows for people: keys, types, defaults and bounds."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ _UNITS: Final = {
     "w": "W",
     "j": "J",
 }
-"""The units that names end with; longer endings first."""
+"""Units by the endings of names; longer endings come first."""
 _BOUNDS: Final = (
     ("exclusiveMinimum", "> {}"),
     ("minimum", ">= {}"),
@@ -57,15 +57,15 @@ _BOUNDS: Final = (
 def rows_of(
     schema: Mapping[str, Any], keys: tuple[str, ...] = (), definitions: Mapping[str, Any] | None = None
 ) -> Iterator[dict[str, Any]]:
-    """Yield a row for each key of an object, with those of the tables inside it after it.
+    """Yield a row for each key of an object, each followed by the rows of the tables inside it.
 
-    A row has `param` (a key as TOML writes it; `NAME` stands for a name of one's own), `type`, `default` (None if
-    there is none), `required`, `bounds`, `unit` and `description`.
+    A row has `param` (a key as in TOML; `NAME` stands for any name), `type`, `default` (None without a default),
+    `required`, `bounds`, `unit` and `description`.
 
     Args:
         schema: the object's schema, as `pancakes.util.schema` makes it.
-        keys: the keys that lead to it.
-        definitions: what its references lead to; None: its own `$defs`.
+        keys: the path of keys to the object.
+        definitions: the targets of references; None: the schema's own `$defs`.
     """
     definitions = schema.get("$defs", {}) if definitions is None else definitions
     required = schema.get("required", ())
@@ -84,7 +84,7 @@ def rows_of(
 
 
 def unit_of(name: str) -> str:
-    """Return the unit that the name of a quantity ends with: `radius_m` is in metres; empty if it says none."""
+    """Return the unit at the end of a quantity's name, such as metres for `radius_m`; empty if it has none."""
     return next((unit for ending, unit in _UNITS.items() if name.endswith(f"_{ending}") or name == ending), "")
 
 
@@ -100,7 +100,7 @@ def _inside(part: Mapping[str, Any], path: tuple[str, ...], definitions: Mapping
 
 
 def resolved(part: Mapping[str, Any], definitions: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Follow a reference; what stands beside it goes before what it leads to."""
+    """Follow a reference; keys beside the reference override keys of its target."""
     reference = part.get("$ref")
     if not isinstance(reference, str) or not reference.startswith(_REF):
         return part
@@ -109,7 +109,7 @@ def resolved(part: Mapping[str, Any], definitions: Mapping[str, Any]) -> Mapping
 
 
 def arms_of(part: Mapping[str, Any], definitions: Mapping[str, Any]) -> list[Mapping[str, Any]]:
-    """Return the schemas of which a value has to fit one."""
+    """Return the alternative schemas, one of which a value must fit."""
     arms = part.get("anyOf") or part.get("oneOf")
     return [resolved(arm, definitions) for arm in arms] if arms else [part]
 
@@ -117,7 +117,7 @@ def arms_of(part: Mapping[str, Any], definitions: Mapping[str, Any]) -> list[Map
 def type_of(part: Mapping[str, Any], definitions: Mapping[str, Any]) -> str:
     """Return the type of a value, in words."""
     words = dict.fromkeys(_word(arm, definitions) for arm in arms_of(resolved(part, definitions), definitions))
-    # What may be left out is said by its having no default; TOML has no word for it.
+    # Leave out null: an optional key has no default, and TOML has no null.
     return " or ".join(word for word in words if word != "nothing" or len(words) == 1)
 
 
@@ -135,7 +135,7 @@ def _word(part: Mapping[str, Any], definitions: Mapping[str, Any]) -> str:
 
 
 def bounds_of(part: Mapping[str, Any]) -> str:
-    """Return within what a value has to lie, in words; `part` is resolved."""
+    """Return the bounds of a value, in words; `part` must be resolved."""
     arms = part.get("anyOf") or [part]
     found = []
     for arm in arms:

@@ -1,4 +1,4 @@
-"""The state of a task as people look at it: a name and a short text for each value in it. Pure."""
+"""Shorten the state of a task for people: a name and a short text for each value. Pure."""
 
 from __future__ import annotations
 
@@ -12,34 +12,34 @@ from pancakes.util.arrays import is_array
 from pancakes.util.text import printable
 
 MOST_CHARS: Final = 160
-"""The text of one value is cut after so many characters."""
+"""The most characters of the text of one value."""
 MOST_BYTES: Final = 4096
-"""So long are all names and texts together, at most; what comes after that is left out."""
+"""The most bytes of all names and texts together; further values are left out."""
 MOST_DEEP: Final = 6
-"""A table that lies in so many others is one value."""
+"""The depth of nesting at which a table becomes one value."""
 
 
 class ShortState(msgspec.Struct, frozen=True):
-    """What there is room for of a state.
+    """A shortened state.
 
     Attributes:
-        rows: name and text of each value; the name of one in a table has dots, as in TOML.
-        cut: whether there is more than that.
+        rows: name and text of each value; the name of a value in a table has dots, as in TOML.
+        cut: whether something was shortened or left out.
     """
 
     rows: tuple[tuple[str, str], ...]
     cut: bool
 
     def size(self) -> int:
-        """Return about how much memory it takes."""
+        """Return its approximate size in memory."""
         return sum(len(name) + len(text) for name, text in self.rows)
 
 
 def shortened(state: Mapping[str, Any], most_chars: int = MOST_CHARS, most_bytes: int = MOST_BYTES) -> ShortState:
-    """Shorten a state; it takes no longer where the state is large.
+    """Shorten a state; a large state takes no longer than a small one.
 
     Args:
-        state: plain values, and numpy arrays among them.
+        state: plain values and numpy arrays.
         most_chars: see `MOST_CHARS`.
         most_bytes: see `MOST_BYTES`.
     """
@@ -68,8 +68,8 @@ def _leaves(value: Mapping[Any, Any], keys: tuple[str, ...]) -> Iterator[tuple[t
 
 
 def _text(value: Any, most: int) -> tuple[str, bool]:
-    """Return a value as a text, and whether that is all of it."""
-    if isinstance(value, str):  # alone it needs no quotes
+    """Return the text of a value, and whether it is complete."""
+    if isinstance(value, str):  # only strings inside other values need quotes
         head = printable(value[:most])
         return (head, True) if len(value) <= most else (f"{head}… ({len(value)} characters)", False)
     text, whole = "", True
@@ -82,14 +82,14 @@ def _text(value: Any, most: int) -> tuple[str, bool]:
 
 
 def _note(value: Any, whole: bool) -> str:
-    """Return what there is to be said of a value besides: the kind of an array, the length of what is cut."""
+    """Return a note about a value: the type of an array, or the length of a value that was cut."""
     if is_array(value):
         return f" ({value.dtype}, {' x '.join(map(str, value.shape)) or 'one number'})"
     return f" ({len(value)} items)" if not whole and isinstance(value, (list, tuple, Mapping)) else ""
 
 
 def _pieces(value: Any) -> Iterator[str]:
-    """Yield the text of a value, piece by piece: of a large one the rest need not be made."""
+    """Yield the text of a value in pieces, so that the rest of a large value need not be formatted."""
     if is_array(value):
         if value.ndim == 0:
             yield from _pieces(value.item())

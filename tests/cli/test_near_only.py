@@ -26,10 +26,10 @@ def test_a_name_that_leads_to_the_loopback_is_told_by_agent_doctor_and_check(rig
 
     agent = Running([*enter, sys.executable, "-m", AGENT, "--config", str(path)], rig.environment, rig.directory)
     try:
-        told = agent.hear("cannot be reached from other machines")
+        told = agent.hear("is not reached from other machines")
         assert "warning" in told and "robot1 is 127.0.1.1 here" in told
         findings = rig.pancakes("doctor").stdout
-        assert "cannot be reached from other machines: only this machine reaches it at tcp://robot1:0" in findings
+        assert "is not reached from other machines: only this machine reaches it at tcp://robot1:0" in findings
     finally:
         agent.close()
 

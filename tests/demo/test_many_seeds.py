@@ -14,9 +14,9 @@ from pancakes.tools.demo.seed_statistics import Spread, seeds_of, spreads_of, te
 FAILED, USAGE, BAD_CONFIGURATION = 1, 2, 4
 MISTAKES = [
     (["--seeds", "5-1"], USAGE, "'5-1' ends before it begins: write 1-5"),
-    (["--seeds", "x"], USAGE, "'x' is no range of seeds: write seeds as 1-200, or as 3,17,20-29"),
-    (["--seeds", "1,,2"], USAGE, "is no range of seeds"),
-    (["--seeds", "-3"], USAGE, "is no range of seeds"),
+    (["--seeds", "x"], USAGE, "'x' is not a range of seeds: write seeds as 1-200, or as 3,17,20-29"),
+    (["--seeds", "1,,2"], USAGE, "is not a range of seeds"),
+    (["--seeds", "-3"], USAGE, "is not a range of seeds"),
     (["--seeds", "1-9999999"], USAGE, "names more than 100,000 seeds"),
     (["--seeds", "1-" + "9" * 60], USAGE, "more than 18 digits"),
     (["--seeds", "1-2", "--seed", "3"], USAGE, "--seed and --seeds"),

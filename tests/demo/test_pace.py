@@ -23,7 +23,7 @@ def test_where_the_world_fell_behind_the_verdict_says_by_how_much():
 def test_a_live_mission_that_fails_says_what_the_machine_has_to_do_with_it():
     live = {"mode": "live", "speed": 5.0, **KEPT_UP}
     hint = hint_of("FAIL", [{**live, "busy": 0.97, "processors": 2}])
-    assert hint.startswith("in real time the machine counts: its 2 processors were busy for 97 % of the mission.")
+    assert hint.startswith("a live mission depends on the machine: its 2 processors were busy for 97 % of the mission.")
     assert "--speed 2.5" in hint and "--virtual" in hint
     assert "its 8 processors were busy for 10 %" in hint_of("FAIL", [{**live, "busy": 0.1, "processors": 8}])
     assert hint_of("FAIL", [{**live, "speed": 1.0, "busy": 0.9, "processors": 2}]).count("--speed 0.5") == 1

@@ -255,7 +255,7 @@ def test_metrics_refuse_all_methods_but_get(agent):
 def test_connections_that_ask_for_nothing_are_told_that_it_is_full_and_end(agent, capfd):
     strangers = [socket.create_connection(("127.0.0.1", port(agent)), 20) for _ in range(MOST_REQUESTS)]
     with socket.create_connection(("127.0.0.1", port(agent)), 20) as late:
-        assert b"503" in (said := late.recv(1000)) and b"full" in said
+        assert b"503" in (said := late.recv(1000)) and b"busy" in said
     for stranger in strangers:
         with stranger:
             assert stranger.recv(1000) == b"", "a request that does not come is not waited for"
@@ -290,7 +290,7 @@ def test_with_a_token_only_its_bearer_reads(tmp_path, monkeypatch):
         path = tmp_path / "run" / f"metrics-{port(agent)}.token"
         assert path.stat().st_mode & 0o777 == 0o600
         token = path.read_text()
-        assert status(agent) == (401, "show the token that the log names\n")
+        assert status(agent) == (401, "send the token from the file that the log names\n")
         assert status(agent, Authorization=f"Bearer {token}x")[0] == 401
         code, text = status(agent, Authorization=f"Bearer {token}")
         assert code == 200 and "pancakes_" in text

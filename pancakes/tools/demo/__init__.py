@@ -1,4 +1,4 @@
-"""Demos: whole missions that run by one command, live or in virtual time, and are judged at the end."""
+"""Demos: whole missions that one command runs, live or in virtual time, and judges at the end."""
 
 from pancakes.tools.demo.demo import Comparison, Demo, Loss, Run, Variant
 

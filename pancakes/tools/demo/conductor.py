@@ -1,6 +1,6 @@
-"""The launcher's own task: it waits for all agents, begins the mission, records its events, and ends it.
+"""The launcher's own task: wait for all agents, begin the mission, record its events, and end it.
 
-`Losses` kills an agent at the time that the demo says, and starts it again. `how_slow` reports whether the machine
+`Losses` kills an agent at the time that the demo sets, and starts it again. `how_slow` reports whether the machine
 kept up with a mission in real time.
 """
 
@@ -25,22 +25,22 @@ from pancakes.task import Task, Tick, every, on
 from pancakes.tools.demo.demo import Loss
 
 BEHIND_S: Final = 0.25
-"""A world that lies further behind the clock than this, or a tick that is later, in mission seconds, is said to."""
+"""The largest delay of the world or of a tick that is not reported, in mission seconds."""
 MISSED_SHARE: Final = 0.01
-"""So is a task that missed a larger share of its ticks, and more than one."""
+"""The largest share of missed ticks of a task that is not reported; one missed tick is never reported."""
 NAMED: Final = 3
-"""The most tasks that are named, those that missed most; of the others the number is told."""
+"""The most late tasks that are named, worst first; the others are only counted."""
 
 
 @dataclass(frozen=True, slots=True)
 class Ticks:
-    """How a task's ticks came.
+    """The ticks of a task in a mission.
 
     Attributes:
         task: the task, as `agent/service/task`.
-        ticks: how many came.
-        missed: how many never did.
-        late_max_s: how late the latest was, in mission seconds.
+        ticks: the number of ticks.
+        missed: the number of missed ticks.
+        late_max_s: the largest lateness, in mission seconds.
     """
 
     task: str
@@ -49,12 +49,12 @@ class Ticks:
     late_max_s: float
 
     def was_late(self) -> bool:
-        """Return whether so many were missed, or one was so late, that it may have changed the mission."""
+        """Return whether missed or late ticks may have changed the mission."""
         return self.missed > max(1.0, MISSED_SHARE * (self.ticks + self.missed)) or self.late_max_s > BEHIND_S
 
 
 def ticks_of(agent: str, description: Mapping[str, Any]) -> list[Ticks]:
-    """Return how the ticks of an agent's tasks came, from its answer to `Describe`."""
+    """Return the ticks of an agent's tasks, from its answer to `Describe`."""
     return [
         Ticks(f"{agent}/{it['service']}/{it['task']}", it["ticks"], it["missed"], it["lateness_max_s"])
         for it in description["tasks"]
@@ -69,7 +69,7 @@ def late_ones(ticks: Iterable[Ticks]) -> list[dict[str, Any]]:
 
 
 def how_slow(timing: Mapping[str, Any]) -> str:
-    """Return where the machine fell behind, as it stands in `timing.json`; empty if it kept up."""
+    """Return where the machine fell behind, from `timing.json`; empty if it kept up."""
     parts = []
     if timing.get("behind_max_s", 0.0) > BEHIND_S:
         parts.append(f"the world fell behind the clock by up to {timing['behind_max_s']:.2f} s of mission time")
@@ -83,17 +83,16 @@ def how_slow(timing: Mapping[str, Any]) -> str:
 
 
 def verdict_line(verdict: str, slow: str) -> str:
-    """Return a mission's verdict, and where the machine was too slow for it, in one line."""
+    """Return a mission's verdict, and where the machine was too slow for it, on one line."""
     if not slow:
         return verdict
     return f"{verdict}, {'though' if verdict == 'PASS' else 'and'} this machine was too slow: {slow}"
 
 
 def hint_of(verdict: str, timings: Iterable[Mapping[str, Any]]) -> str:
-    """Return what the machine has to do with a mission that has failed in real time; empty: nothing.
+    """Return a hint that a busy machine may be why a live mission failed; empty if it passed or was not live.
 
-    Where ticks were in time a mission may fail of the machine all the same: a message between two agents that comes
-    late is no late tick.
+    The machine may be the reason even if no tick was late, because messages between agents may be late, too.
     """
     live = [timing for timing in timings if timing.get("mode") == "live"]
     if verdict == "PASS" or not live:
@@ -101,23 +100,23 @@ def hint_of(verdict: str, timings: Iterable[Mapping[str, Any]]) -> str:
     worst = max(live, key=lambda timing: float(timing.get("busy", 0.0)))
     percent = 100 * float(worst.get("busy", 0.0))
     return (
-        f"in real time the machine counts: its {worst.get('processors', 1)} processors were busy for {percent:.0f} %"
-        f" of the mission. Try --speed {worst['speed'] / 2:g}, without other programs, or --virtual, which no load"
-        " changes"
+        f"a live mission depends on the machine: its {worst.get('processors', 1)} processors were busy for"
+        f" {percent:.0f} % of the mission. Try --speed {worst['speed'] / 2:g}, without other programs, or --virtual,"
+        " which does not depend on load"
     )
 
 
 HAIR_S: Final = 1e-6
-"""A step whose time has come is due, even where rounding puts the mission's clock a hair before it."""
+"""A tolerance for rounding: a step is due if the mission's clock is at most this much before its time."""
 
 
 class LossStep(msgspec.Struct, frozen=True):
-    """Something that was done about an agent, as the launcher tells the conductor.
+    """A message from the launcher to the conductor: an agent was killed or restarted.
 
     Attributes:
         agent: the agent.
-        kind: what was done: it was killed, or it was started again. So the event is called, too.
-        t_s: when, in mission time.
+        kind: what was done, which is also the kind of the event.
+        t_s: the mission time.
     """
 
     agent: str
@@ -126,13 +125,13 @@ class LossStep(msgspec.Struct, frozen=True):
 
 
 class Losses:
-    """The steps of a mission's loss, one after the other. In the thread that starts agents.
+    """Kill and restart the agent of a mission's loss at the right times. Use it in the thread that starts agents.
 
     Args:
-        loss: what is to happen; None: nothing.
+        loss: the loss; None: nothing happens.
         seed: the run's seed.
         now: the mission's clock.
-        kill: ends an agent at once, by its name.
+        kill: kills an agent, by its name.
         start: starts it again on its disk.
         told: takes each step that was done.
     """
@@ -155,33 +154,33 @@ class Losses:
             self._steps.append((LossStep(loss.agent, "agent_returned", at_s + loss.away_s), start))
 
     def wait_s(self) -> float:
-        """Return how long it is until something is to be done, in mission seconds; infinity: nothing ever is."""
+        """Return the time until the next step, in mission seconds; infinity if there is none."""
         return max(0.0, self._steps[0][0].t_s - self._now()) if self._steps else math.inf
 
     def look(self) -> None:
-        """Do what is due."""
+        """Take the steps that are due."""
         while self.wait_s() <= HAIR_S:
             step, act = self._steps.pop(0)
-            now_s = self._now()  # before it is done: what follows from it comes later
+            now_s = self._now()  # read before the step, so that its consequences come later
             act(step.agent)
             self._told(replace(step, t_s=now_s))
 
 
 ASK_S = 0.25
-"""How often, in host time, an agent that is not ready is asked again."""
+"""The period, in host time, of requests to an agent that is not ready."""
 COUNTDOWN_S = 0.25
-"""How long, in host time, before the mission begins all agents are told."""
+"""How long, in host time, before the mission begins all agents get the request to begin it."""
 OVERLAP_S = 1.0
-"""The log is asked for this much more than the time without the agent: its clock may be a little off."""
+"""How much more of an agent's log is requested than the time without the agent, because clocks may differ."""
 RECENT = 500
-"""The number of newest events among which a repeated one is looked for."""
+"""The number of newest events that are compared with to find repeated ones."""
 LOOK_S = 1.0
-"""How often, in host time, it reads how late the ticks of a live mission are."""
+"""The period, in host time, of reading the ticks of a live mission."""
 FOLLOWED = ((LOG, ("event", "line")), (SYSTEM, ("battery", "world_state")))
 
 
 class EndMission(msgspec.Struct, frozen=True):
-    """The launcher tells the conductor to end the mission before its time.
+    """A message from the launcher to the conductor: end the mission early.
 
     Attributes:
         reason: why, as a sentence.
@@ -192,23 +191,26 @@ class EndMission(msgspec.Struct, frozen=True):
 
 @dataclass
 class Mission:
-    """What is known of a mission while it runs; the live view reads it.
+    """The state of a mission while it runs; the live view reads it.
 
     Attributes:
         agents: the agents that take part.
-        duration_s: how long it lasts, in mission seconds.
-        news_hz: how often, in host time, the launcher hears where everything is.
-        now_s: the mission time, as the launcher's clock says it.
+        duration_s: its length, in mission seconds.
+        news_hz: how often, in host time, the launcher gets the state of the world.
+        now_s: the mission time on the launcher's clock.
         world_s: the time of the world's newest state.
-        behind_s: how far the world lies behind the clock, now and at the most.
-        running: the user's tasks that run, by agent.
+        behind_s: how far the world is behind the clock now.
+        behind_max_s: how far the world was behind the clock at most.
+        running: the running tasks of the user, by agent.
         batteries: the newest battery reading, by agent.
         bodies: the newest true state of each body.
         events: all events so far, as records.
         phase: `connecting`, `running`, `over` or `interrupted`.
         waiting_for: the agents that are not ready yet, and why.
         ended_because: why it ended early; empty if it did not.
-        ticks: how the ticks of each task came as far as that is known, by agent (live only).
+        ticks: the ticks of each task as far as known, by agent (live only).
+        changed: called when something here has changed.
+        told: called with each new event.
     """
 
     agents: tuple[str, ...]
@@ -231,7 +233,7 @@ class Mission:
 
     @property
     def ended(self) -> bool:
-        """Whether nothing that happens counts any more."""
+        """Whether the mission is over, so that further events do not count."""
         return self.phase in ("over", "interrupted")
 
 
@@ -241,9 +243,9 @@ class Conductor(TaskCore, Task):
     It talks to the agents only by packets that any agent may send: `Describe`, `Follow`, `Begin`.
 
     Args:
-        mission: what it fills in.
+        mission: the state that it updates.
         events: path of the events file.
-        redial: has the launcher's mesh dial the agents that are not connected now, and not when it is time to.
+        redial: makes the launcher's mesh dial agents that are not connected at once, without its back-off.
     """
 
     def __init__(self, *args: Any, mission: Mission, events: Path, redial: Callable[[], None], **others: Any) -> None:
@@ -254,9 +256,9 @@ class Conductor(TaskCore, Task):
         self._ready: dict[str, list[str]] = {}
         self._followed: dict[str, int] = {}
         self._lost_s: dict[str, float] = {}
-        self._away: set[str] = set()  # agents that were killed, and are not taken up again yet
+        self._away: set[str] = set()  # agents that were killed and have not rejoined the mission yet
         self._returned: set[str] = set()  # those of them that were started again
-        self._zero_s: dict[str, float] = {}  # the mission time at which the clock of such an agent began from scratch
+        self._zero_s: dict[str, float] = {}  # the mission time at which such an agent's clock began again at 0
         self._file: TextIO | None = None
 
     def on_start(self) -> None:
@@ -288,7 +290,7 @@ class Conductor(TaskCore, Task):
 
     @on(SYSCTRL, Reply)
     def on_reply(self, packet: Packet) -> None:
-        """An agent says how far it is, or that it sends what it was asked to."""
+        """Handle an agent's description, its log, or its reply to `Follow`."""
         agent = agent_of(packet.source)
         reply: Reply = packet.body
         if agent not in self._mission.agents:
@@ -298,7 +300,7 @@ class Conductor(TaskCore, Task):
         if self._mission.phase == "running" and isinstance(reply.result, Mapping) and "tasks" in reply.result:
             self._mission.ticks[agent] = ticks_of(agent, reply.result)
             if agent in self._returned and reply.result["ready"]:
-                self._take_up(agent, reply.result)
+                self._rejoin(agent, reply.result)
         if self._mission.phase != "connecting":
             return
         if not reply.ok:
@@ -342,20 +344,20 @@ class Conductor(TaskCore, Task):
         if self.kernel.virtual is None:  # in virtual time no tick is late
             self.after_host(LOOK_S, self._look_at_ticks)
 
-    # While it runs ---------------------------------------------------------------------------------------------
+    # During the mission ----------------------------------------------------------------------------------------
 
     def initial_period_s(self, method: str, period_s: float) -> float:
-        # Without a viewer there is no need to look more often than there is news.
+        # More ticks than news of the world would be useless.
         return super().initial_period_s(method, max(period_s, 1.0 / self._mission.news_hz))
 
     @every(hz=10)
     def look(self, tick: Tick) -> None:
-        """See how far the world lies behind the clock."""
+        """Measure how far the world is behind the clock."""
         mission = self._mission
         if mission.phase != "running":
             return
         mission.now_s = self.now()
-        news_s = self.kernel.mission.speed / mission.news_hz  # so old the newest state may be of itself
+        news_s = self.kernel.mission.speed / mission.news_hz  # the normal age of the newest state
         mission.behind_s = max(0.0, mission.now_s - mission.world_s - news_s)
         mission.behind_max_s = max(mission.behind_max_s, mission.behind_s)
         mission.changed()
@@ -377,7 +379,7 @@ class Conductor(TaskCore, Task):
 
     @on(SYSTEM, "world_state", keep="latest")
     def on_world(self, packet: Packet) -> None:
-        """Remember where everything is."""
+        """Remember the state of the world."""
         state = packet.body
         self._mission.world_s = state.time_s
         for body in state.bodies:
@@ -385,7 +387,7 @@ class Conductor(TaskCore, Task):
 
     @on(LOG, None, keep=queue(8192))
     def on_log(self, packet: Packet) -> None:
-        """Keep what happens."""
+        """Record the events of agents."""
         agent = agent_of(packet.source)
         if agent == self.agent:
             self._on_own_log(packet)
@@ -399,29 +401,29 @@ class Conductor(TaskCore, Task):
             return
         peer = str(body.fields.get("peer"))
         if body.kind == "peer_down" and peer == self._mission.agents[0]:
-            # Without its world the mission has no ground to stand on.
+            # A mission cannot continue without its world.
             self.end(f"the agent {peer} is gone: {body.fields.get('reason', '')}")
         elif peer in self._away:
-            pass  # it was killed, and is taken up again once it is ready
+            pass  # it was killed, and rejoins when it is ready
         elif body.kind == "peer_down" and self._mission.phase == "running":
             self._lost_s[peer] = self.now()
         elif peer in self._lost_s:
-            # It slept, or its link broke. Its Network Service may be a new one, which knows nothing of followers.
+            # It slept, or its link broke. Its Network Service may have restarted and lost its followers.
             self._follow(peer)
             self.publish(SYSCTRL, History(self.now() - self._lost_s.pop(peer) + OVERLAP_S), to=peer)
 
     def _catch_up(self, agent: str, records: Sequence[Mapping[str, Any]]) -> None:
-        """Take what an agent said while it could not be heard, as far as that was not heard after all."""
-        heard = [record for record in self._mission.events[-RECENT:] if record["agent"] == agent]
+        """Add the log of an agent from the time when it was not connected, without records that are known already."""
+        known = [record for record in self._mission.events[-RECENT:] if record["agent"] == agent]
         for entry in records:
             record = self._in_mission_time({key: value for key, value in entry.items() if key != "entry"})
-            if record["agent"] == agent and record not in heard:
+            if record["agent"] == agent and record not in known:
                 self._note(record)
         if records:
             self.publish(SYSCTRL, History(after=records[-1]["entry"]), to=agent)
 
     def _on_loss(self, step: LossStep) -> None:
-        """An agent was killed, or was started again."""
+        """Note that an agent was killed or started again."""
         agent = step.agent
         if step.kind == "agent_lost":
             self._away.add(agent)
@@ -431,10 +433,10 @@ class Conductor(TaskCore, Task):
             self._ask_returned(agent)
         self._keep({"t_s": round(step.t_s, 6), "agent": agent, "source": self.address, "kind": step.kind})
 
-    def _take_up(self, agent: str, description: Mapping[str, Any]) -> None:
-        """An agent is back that was killed, and what it has said so far is asked for.
+    def _rejoin(self, agent: str, description: Mapping[str, Any]) -> None:
+        """Let a restarted agent rejoin the mission, and request its log so far.
 
-        Its mission goes on at the fleet's time; if it could not hear that in time, it begins from scratch.
+        Its mission clock continues at the fleet's time, or begins at 0 if the agent learned that time too late.
         """
         self._returned.discard(agent)
         self._away.discard(agent)
@@ -446,12 +448,12 @@ class Conductor(TaskCore, Task):
         self.publish(SYSCTRL, History(), to=agent)
 
     def _in_mission_time(self, record: dict[str, Any]) -> dict[str, Any]:
-        """Return a record of an agent, whose clock may have begun later than the mission."""
+        """Return a record with mission time, because the agent's clock may have begun later than the mission."""
         zero_s = self._zero_s.get(record["agent"], 0.0)
         return {**record, "t_s": round(record["t_s"] + zero_s, 6)} if zero_s else record
 
     def _note(self, record: dict[str, Any]) -> None:
-        """Keep a record, and what follows from it."""
+        """Record an event, and update the running tasks."""
         if record["kind"] == "line" and record["level"] == "debug":
             return
         running = self._mission.running.setdefault(record["agent"], [])
@@ -479,7 +481,7 @@ class Conductor(TaskCore, Task):
         return None
 
     def end(self, reason: str) -> None:
-        """End the mission; the launcher then stops all agents."""
+        """End the mission; then the launcher stops all agents."""
         mission = self._mission
         if mission.ended:
             return
@@ -491,6 +493,6 @@ class Conductor(TaskCore, Task):
 
 
 def _running(description: Mapping[str, Any]) -> list[str]:
-    """Return the user's tasks that run on an agent, from its answer to `Describe`."""
+    """Return the running tasks of the user on an agent, from its answer to `Describe`."""
     tasks = [task for task in description["tasks"] if task["service"] not in ("device", "network", "log")]
     return [task["task"] for task in tasks if task["state"] == "running"]

@@ -1,4 +1,4 @@
-"""What a demo is: a mission as data (entry point group `pancakes.demos`)."""
+"""The data of a demo: its mission, agents and judge (entry point group `pancakes.demos`)."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ class Run:
     """One run of a demo, for its judge.
 
     Attributes:
-        out: the folder with `events.jsonl` and `trajectory.csv`, and where pictures go.
+        out: the folder with `events.jsonl` and `trajectory.csv`, and for pictures.
         seed: the run's seed.
-        duration_s: how long the mission was to last, in mission seconds.
-        ended_s: when it ended.
+        duration_s: the planned length of the mission, in mission seconds.
+        ended_s: the mission time at which it ended.
         ended_because: why it ended early, as a sentence; empty if it did not.
-        configs: the configurations of the agents as they ran, by agent, as plain mappings.
+        configs: the configurations with which the agents ran, by agent, as plain mappings.
     """
 
     out: Path
@@ -33,13 +33,15 @@ class Run:
 
 @dataclass(frozen=True, slots=True)
 class Loss:
-    """An agent that is killed in the course of a mission, and started again later, on its disk.
+    """An agent that is killed during a mission, and later started again on its disk.
+
+    The time of its end is drawn from the run's seed.
 
     Attributes:
         agent: the agent; not the world.
-        earliest_s: it is killed at a time that is drawn from the run's seed, in mission seconds: not before this, ...
-        latest_s: ... and not after this.
-        away_s: so long after that it is started again, in mission seconds.
+        earliest_s: the earliest time of its end, in mission seconds.
+        latest_s: the latest time of its end, in mission seconds.
+        away_s: the time from its end to its restart, in mission seconds.
     """
 
     agent: str
@@ -54,28 +56,27 @@ class Loss:
 
 @dataclass(frozen=True, slots=True)
 class Demo:
-    """A mission that is installed, ready to run.
+    """An installed mission that is ready to run.
 
     Attributes:
         name: its name, as in `pancakes demo NAME`.
         title: what it shows, in a few words.
         agents: its agents. The world comes first.
-        configs: the folder with a configuration file for each agent, of the agent's name. It is part of the demo's own
-            package, so that it is there wherever the demo is installed.
-        duration_s: how long it lasts, in mission seconds.
-        judge: returns the summary of a run; its `verdict` is `PASS` where all went well, else its `reasons` say what
-            did not.
-        draw: draws the pictures of a run from its summary; None: it has none.
+        configs: the folder with a configuration file for each agent, `AGENT.toml`. It is part of the demo's package, so
+            that it is installed with the demo.
+        duration_s: its length, in mission seconds.
+        judge: returns the summary of a run; its `verdict` is `PASS` or `FAIL`, and its `reasons` say what went wrong.
+        draw: draws the pictures of a run from its summary; None: no pictures.
         circled: the body that robots circle, for the live view's distance to the circle; empty: none.
         radius_m: the radius of that circle.
         records: the files that tasks of the world write, by the task's name.
-        arrange: takes the folder of a run, and whether it is live; returns what is to be set in each agent's file for
-            that, as `--set` takes it, by agent. None: nothing.
-        virtual: whether it runs in virtual time if nothing else is asked for.
-        loss: the agent that is killed on the way; None: none is, and one that ends by itself ends the mission.
-        fastest: the most mission seconds a second that it can run with live, where something that it shows takes its
-            time on the host's clock, as leases do.
-        live_only: why it cannot run in virtual time, as a clause; empty: it can.
+        arrange: takes the folder of a run, and whether it is live; returns the changes of each agent's file, as for
+            `--set`, by agent. None: no changes.
+        virtual: whether it runs in virtual time by default.
+        loss: the agent that is killed during the mission. If None, an agent that ends ends the mission.
+        fastest: the most mission seconds per second in a live run, if something in it takes time on the host's clock,
+            such as leases.
+        live_only: why it cannot run in virtual time, as a clause; empty if it can.
     """
 
     name: str
@@ -100,9 +101,9 @@ class Variant:
     """One of the missions of a comparison.
 
     Attributes:
-        name: its name, and that of the folder with its results.
-        title: what is different about it, in a few words.
-        sets: what is different in its agents' configurations, as `--set` takes it.
+        name: its name, and the name of the folder with its results.
+        title: how it differs, in a few words.
+        sets: the changes of its agents' configurations, as for `--set`.
     """
 
     name: str
@@ -112,19 +113,18 @@ class Variant:
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """A demo that runs one mission several times, each time with something else in its configurations.
+    """A demo that runs one mission several times, each time with other configurations.
 
     Attributes:
         name: its name, as in `pancakes demo NAME`.
         title: what it shows, in a few words.
-        mission: the mission; each run of it is judged by itself.
-        variants: what is compared; the first is what the others are measured by.
+        mission: the mission; each run of it is judged separately.
+        variants: the variants to compare; the first one is the reference.
         judge: takes the folder with all results, and each variant's run and summary by its name; returns the summary
-            of the whole, with `verdict`, `reasons` and, for the terminal, `said`.
+            of the comparison, with `verdict`, `reasons` and, for the terminal, `said`.
         draw: takes the folder, the runs and the summary, and draws the picture.
         picture: the name of that picture.
-        virtual: whether it runs in virtual time if nothing else is asked for; live, it takes as long as all of its
-            missions together.
+        virtual: whether it runs in virtual time by default. Live, it takes as long as all of its missions together.
     """
 
     name: str

@@ -1,6 +1,6 @@
 """Run a demo: as processes over real sockets, or with the same agents in virtual time on one thread.
 
-`make_plan` works out how the agents are configured for one run: their own files, and what the launcher changes of them.
+`make_plan` makes the configurations of the agents for one run, from their own files and the launcher's changes.
 """
 
 from __future__ import annotations
@@ -48,14 +48,14 @@ class DemoPlan:
 
     Attributes:
         demo: the demo.
-        out: the folder that everything goes to.
+        out: the folder for all results.
         seed: the run's seed.
-        speed: mission seconds for each second of host time.
-        duration_s: how long the mission lasts.
-        sets: what is changed of each agent's file, as `--set` takes it.
+        speed: mission seconds per second of host time.
+        duration_s: the length of the mission.
+        sets: the changes of each agent's file, as for `--set`.
         files: each agent's file.
-        configs: the configurations that follow from that.
-        claim: what keeps other demos from the ports of this one, where they are those of the files.
+        configs: the resulting configurations.
+        claim: keeps other demos from using the ports of this one, if these are the ports in the files.
     """
 
     demo: Demo
@@ -69,11 +69,11 @@ class DemoPlan:
     claim: Claim | None
 
     def peers(self, within_machine: bool) -> tuple[str, ...]:
-        """Return an address of each agent: the one within its machine, or else another."""
+        """Return an address of each agent: the one within its machine, or its last one."""
         return tuple(config.agent.addresses[0 if within_machine else -1] for config in self.configs.values())
 
     def buses(self) -> tuple[str, ...]:
-        """Return the addresses of the hardware buses, which no fault of the network concerns."""
+        """Return the addresses of the hardware buses, which network faults do not affect."""
         found = {
             str(device.settings["world"]): None
             for config in self.configs.values()
@@ -95,26 +95,26 @@ def make_plan(
     plugins: Plugins | None = None,
     local: bool = False,
 ) -> DemoPlan:
-    """Work out one run.
+    """Plan one run.
 
     Args:
         demo: the demo.
-        folder: where the agents' files lie.
-        out: where everything goes; agents get a fresh state directory below it.
+        folder: the folder with the agents' files.
+        out: the folder for all results; agents get empty state directories below it.
         seed: the run's seed.
-        speed: mission seconds for each second of host time.
-        duration_s: how long the mission lasts.
+        speed: mission seconds per second of host time.
+        duration_s: the length of the mission.
         extra: `AGENT:table.key=value` or `table.key=value` (all agents) from the command line.
-        live: whether ports are really taken; ports in use are then replaced by free ones.
-        plugins: where drivers and tasks come from, None for what is installed. What they ask of the configurations
-            is checked here, before anything starts.
-        local: whether the agents of a live demo speak within this machine alone, and take no TCP port.
+        live: whether the run uses real ports; ports that are in use are then replaced by free ones.
+        plugins: where drivers and tasks come from; None: the installed ones. Their requirements on the configurations
+            are checked here, before anything starts.
+        local: whether the agents of a live demo talk only within this machine, without TCP ports.
 
     Raises:
-        PancakesError: a file is missing or wrong.
+        PancakesError: a file is missing or invalid.
     """
     files = {agent: folder / f"{agent}.toml" for agent in demo.agents}
-    # A fleet of its own: two demos on one machine, or a demo beside a real robot, must not become neighbours.
+    # Each live run has its own fleet: two demos, or a demo and a real robot, on one machine must not become neighbours.
     fleet = f"{demo.name}-{os.getpid()}" if live else demo.name
     sets: dict[str, list[str]] = {}
     for agent in demo.agents:
@@ -124,11 +124,11 @@ def make_plan(
             f'agent.state_dir="{out / "state" / agent}"',
             f"clock.speed={speed!r}",
             "clock.hold=true",
-            "agent.birth_wait_s=0",  # a fleet of its own, and each disk empty: there is no agent that could know more
+            "agent.birth_wait_s=0",  # all disks of this fleet are empty, so no agent could know the tasks
             "service.log.settings.console=false",
         ]
         if live:
-            # In virtual time `events.jsonl` tells all that these would.
+            # In virtual time these logs would only repeat `events.jsonl`.
             sets[agent].append(f'service.log.settings.file="{out / "logs" / (agent + ".jsonl")}"')
     for task, name in demo.records.items():
         sets[demo.agents[0]].append(f'task.{task}.settings.path="{out / name}"')
@@ -139,8 +139,8 @@ def make_plan(
         for agent in agents:
             sets[agent].append(change)
     plugins = plugins or Plugins()
-    claim, elsewhere = _places(files, fleet, local) if live else (None, {})
-    for agent, changes in elsewhere.items():
+    claim, other_ports = _claim_ports(files, fleet, local) if live else (None, {})
+    for agent, changes in other_ports.items():
         sets[agent].extend(changes)
     try:
         configs = {agent: load(str(files[agent]), sets[agent], plugins) for agent in demo.agents}
@@ -152,17 +152,17 @@ def make_plan(
     return DemoPlan(demo, out, seed, speed, duration_s, frozen, files, configs, claim)
 
 
-def _places(files: Mapping[str, Path], fleet: str, local: bool) -> tuple[Claim | None, Mapping[str, list[str]]]:
-    """Return what keeps other demos from the ports of a live one, and what is to be set if it has others."""
+def _claim_ports(files: Mapping[str, Path], fleet: str, local: bool) -> tuple[Claim | None, Mapping[str, list[str]]]:
+    """Return the claim on the ports of a live demo, and the settings for other ports, by agent."""
     try:
         tables = {agent: toml_values(path.read_text(encoding="utf-8")) for agent, path in files.items()}
     except (OSError, ValueError):
-        return None, {}  # whatever is wrong with it, reading it as a configuration says so better
+        return None, {}  # `load` reports the fault with a better message
     if not local:
         return claim_ports(tables)
-    claim, elsewhere = claim_ports(tables, ("udp",))
+    claim, other_ports = claim_ports(tables, ("udp",))
     within = within_machine(tables, dict.fromkeys(files, fleet))
-    return claim, {agent: [*elsewhere.get(agent, ()), *within.get(agent, ())] for agent in files}
+    return claim, {agent: [*other_ports.get(agent, ()), *within.get(agent, ())] for agent in files}
 
 
 def find_configs(demo: Demo, given: Path | None = None) -> Path:
@@ -170,33 +170,33 @@ def find_configs(demo: Demo, given: Path | None = None) -> Path:
 
     Args:
         demo: the demo.
-        given: the folder that was named on the command line; None: the one that comes with the demo.
+        given: the folder from the command line; None: the folder of the demo.
 
     Raises:
-        PancakesError: there is no such folder.
+        PancakesError: the folder does not exist.
     """
     folder = demo.configs if given is None else given
     if not folder.is_dir():
         raise PancakesError(
-            f"the configurations of the demo {demo.name!r} are not in {folder}: say where they are with --configs"
+            f"the configurations of the demo {demo.name!r} are not in {folder}: pass their folder as --configs"
         )
     return folder
 
 
 HOST = MonotonicClock()
-"""Processes live in the host's time, whatever the mission's clock does."""
+"""The clock for processes, independent of the mission's clock."""
 
 READY_S = 30.0
-"""How long, in host time, the agents have to become ready."""
+"""How long, in host time, the agents may take to become ready."""
 STOP_S = 1.2
-"""How long a process has to end after SIGTERM before it is killed."""
+"""How long a process may take to end after SIGTERM before it is killed."""
 LOOK_S = 0.05
 SLICE_S = 1.0
-"""The virtual time between two checks whether the mission was interrupted: some milliseconds of host time."""
+"""The virtual time between two checks for an interruption: some milliseconds of host time."""
 NEWS_HZ = 1.0
-"""In virtual time the launcher hears that often where everything is: a mission's minutes pass in a second."""
+"""How often, in virtual time, the launcher gets the state of the world; minutes of a mission pass in a second."""
 RECORDING = "recording"
-"""The folder below that of the results in which the agents' recordings lie."""
+"""The folder for the agents' recordings, in the folder for results."""
 
 
 class Launcher(Agent):
@@ -224,27 +224,27 @@ class Launcher(Agent):
         conductor = {
             "mission": mission,
             "events": plan.out / "events.jsonl",
-            "redial": lambda: self.mesh.redial(),  # it is not made yet
+            "redial": lambda: self.mesh.redial(),  # late, because the mesh does not exist yet
         }
         arguments = {"Conductor": conductor}
         super().__init__(parse(text, where="the launcher"), plugins, virtual, arguments)
 
     def end(self, reason: str) -> None:
-        """End the mission before its time. Any thread."""
+        """End the mission early. Any thread."""
         tell_conductor(self, EndMission(reason))
 
 
 def tell_conductor(launcher: Agent, message: EndMission | LossStep) -> None:
-    """Tell the launcher's task something. Any thread."""
+    """Send a message to the launcher's task. Any thread."""
     conductor = launcher.kernel.registry.get(f"{LAUNCHER}/client/Conductor")
     if conductor is not None:
         tell(conductor, message)
 
 
 class Processes:
-    """The agents of a live demo, each a process of its own.
+    """The agents of a live demo, each in its own process.
 
-    They end with the launcher, whatever becomes of it.
+    They end with the launcher, however it ends.
     """
 
     def __init__(self, plan: DemoPlan) -> None:
@@ -254,10 +254,10 @@ class Processes:
         self._processes: dict[str, AgentProcess] = {}
 
     def start(self, keys: Mapping[str, Path]) -> None:
-        """Start them all.
+        """Start all agents.
 
         Args:
-            keys: the folders with the keys of the agents that get some.
+            keys: the folders with the keys of agents that get keys.
         """
         self._keys = keys
         (self._plan.out / "logs").mkdir(parents=True, exist_ok=True)
@@ -265,14 +265,14 @@ class Processes:
             self.start_one(agent)
 
     def start_one(self, agent: str) -> None:
-        """Start one of them, as it was configured for this run; to be called in the thread that started them all."""
+        """Start one agent with its configuration for this run; call it in the thread that started them all."""
         plan = self._plan
         sets = (*plan.sets[agent], *set_keys(self._keys.get(agent)))
         with (plan.out / "logs" / f"{agent}.txt").open("ab") as output:
             self._processes[agent] = self._starter.start(plan.files[agent], sets, output.fileno())
 
     def kill(self, agent: str) -> None:
-        """End one of them at once: it gets no word in. From then on it is none of those that should run."""
+        """Kill one agent; `gone` does not report it then."""
         process = self._processes.pop(agent)
         process.kill()
         process.wait()
@@ -282,12 +282,12 @@ class Processes:
         for agent, process in self._processes.items():
             if process.poll() is not None:
                 said = (self._plan.out / "logs" / f"{agent}.txt").read_text(encoding="utf-8", errors="replace").strip()
-                last = said.splitlines()[-1] if said else "it said nothing"
+                last = said.splitlines()[-1] if said else "it printed nothing"
                 return f"the agent {agent} ended with exit code {process.returncode}: {last}"
         return ""
 
     def stop(self) -> None:
-        """Stop them all: in good order if they can, by force if they do not in time."""
+        """Stop all agents gracefully; kill those that do not stop in time."""
         end_all(self._processes.values(), STOP_S)
         self._starter.close()
 
@@ -296,7 +296,7 @@ def run_live(plan: DemoPlan, mission: Mission, interrupted: threading.Event) -> 
     """Run the agents as processes until the mission is over, or `interrupted` is set.
 
     Returns:
-        What is the wall's, for `timing.json`.
+        The wall-clock figures for `timing.json`.
 
     Raises:
         PancakesError: the agents did not become ready, or another agent of their fleet runs.
@@ -306,7 +306,7 @@ def run_live(plan: DemoPlan, mission: Mission, interrupted: threading.Event) -> 
     launcher: Launcher | None = None
     held = ExitStack()
     try:
-        # Its state is below `out`, and its fleet its own, unless the command line says otherwise.
+        # The state is below `out`, and the fleet is this run's own, unless the command line changed that.
         check_alone(plan.configs.values())
         for config in plan.configs.values():
             empty_state(config)
@@ -357,28 +357,28 @@ def _cannot_begin(mission: Mission) -> PancakesError:
 
 
 def _settle(mission: Mission) -> None:
-    """Mark a mission that was not left to its end, before its agents go: that they go is no part of it."""
+    """Mark an unfinished mission as interrupted before its agents stop, so that their stop is not recorded."""
     if not mission.ended:
         mission.phase = "interrupted"
 
 
 class Onlooker(Protocol):
-    """Watch a fleet in virtual time, and keep it from going faster than it can be watched. It changes nothing."""
+    """Watch a fleet in virtual time, and slow it down so that people can follow. It changes nothing else."""
 
     def begin(self, fleet: Fleet) -> None:
         """Take the fleet, before anything runs."""
 
     def joined(self, agent: Agent) -> None:
-        """Take an agent that was killed, and is started again."""
+        """Take an agent that was killed and started again."""
 
     def slice_s(self) -> float:
-        """Return how much virtual time may pass until the next `pace`."""
+        """Return the virtual time until the next call of `pace`."""
 
     def pace(self) -> None:
-        """Look at what happened, and wait until it is time to go on."""
+        """Process the news, and wait until the fleet may continue."""
 
     def end(self) -> None:
-        """Look no more: the agents are about to stop."""
+        """Stop watching: the agents are about to stop."""
 
 
 def run_virtual(
@@ -391,18 +391,18 @@ def run_virtual(
 ) -> dict[str, Any]:
     """Run the same agents in virtual time, on this thread, until the mission is over or `interrupted` is set.
 
-    Agents that are to be recorded are so from outside, so that the mission is the same as without.
+    Agents are recorded from outside, so that a recording does not change the mission.
 
     Args:
         plan: the run.
-        mission: what is filled in while it runs.
-        interrupted: ends it early.
-        faults: what goes wrong with the network.
-        onlooker: watches the fleet; None: nothing does.
-        say: takes a sentence on a recording that is not as it should be.
+        mission: the state that is updated while the mission runs.
+        interrupted: ends the mission early.
+        faults: the faults of the network; None: none.
+        onlooker: watches the fleet; None: nobody does.
+        say: takes a sentence about a recording that is incomplete.
 
     Returns:
-        What is the wall's, for `timing.json`.
+        The wall-clock figures for `timing.json`.
 
     Raises:
         PancakesError: the agents did not become ready, or cannot be recorded.
@@ -476,12 +476,12 @@ def _run_while(
     """Run while a condition holds, for at most some virtual time.
 
     Returns:
-        Whether it ceased to hold, or it was interrupted.
+        Whether the condition ceased to hold, or the run was interrupted.
     """
     until_s = fleet.now() + at_most_s
     while fleet.now() < until_s and not interrupted.is_set():
         slice_s = onlooker.slice_s() if onlooker is not None else SLICE_S
-        # In virtual time a mission second is one of the fleet's.
+        # In virtual time the mission's clock and the fleet's clock are the same.
         if fleet.run_until(lambda: not condition(), min(slice_s, losses.wait_s(), until_s - fleet.now())):
             return True
         losses.look()
@@ -491,13 +491,13 @@ def _run_while(
 
 
 class NetworkFaults:
-    """What goes wrong with the network of a virtual run, drawn from a seed.
+    """The faults of the network of a virtual run, drawn from a seed.
 
-    Latency and jitter all the time; and now and then a link between two agents breaks and is made again.
+    The network has latency and jitter, and sometimes a link between two agents breaks and is made again.
 
     Args:
-        seed: draws when and where.
-        breaks: how many links break in the course of the mission.
+        seed: the seed for the times and places of breaks.
+        breaks: how many links break during the mission.
         latency_s: how long a packet travels.
         jitter_s: how much longer it may travel.
     """
@@ -508,7 +508,7 @@ class NetworkFaults:
         self.quality = Quality(latency_s=latency_s, jitter_s=jitter_s)
 
     def arrange(self, fleet: Fleet, launcher: Agent) -> None:
-        """Draw the breaks of one mission."""
+        """Draw and schedule the breaks of one mission."""
         names = [name for name in fleet.agents if name != launcher.name]
         for _ in range(self._breaks):
             at_s = fleet.now() + self._random.uniform(5.0, 290.0)
@@ -517,12 +517,12 @@ class NetworkFaults:
 
 
 def run_of(plan: DemoPlan, mission: Mission) -> Run:
-    """Return what a mission that is over was, for its judge."""
+    """Return the run of a mission that is over, for its judge."""
     return Run(plan.out, plan.seed, plan.duration_s, mission.now_s, mission.ended_because, configs_of(plan))
 
 
 def judge(plan: DemoPlan, run: Run, timing: Mapping[str, Any]) -> dict[str, Any]:
-    """Judge a run, and write `summary.json` and `timing.json`. Returns the summary."""
+    """Judge a run, write `summary.json` and `timing.json`, and return the summary."""
     summary = plan.demo.judge(run)
     write_results(plan.out, summary, timing)
     return summary
@@ -550,11 +550,11 @@ def configs_of(plan: DemoPlan) -> Mapping[str, Mapping[str, Any]]:
 
 
 def fresh(out: Path, results: Sequence[str] = ("trajectory.csv", "paths.png")) -> None:
-    """Make the output folder, without the state and the results of an earlier run.
+    """Make the output folder, and remove the state and the results of an earlier run.
 
     Args:
         out: the folder.
-        results: names of files in it that the run will write, besides those that each run does.
+        results: further files in it that the run will write, besides those of every run.
     """
     try:
         out.mkdir(parents=True, exist_ok=True)

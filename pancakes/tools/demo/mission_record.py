@@ -1,4 +1,4 @@
-"""What a mission leaves behind, read back: the events that the agents told, and which agent ran a task when."""
+"""Read the record of a mission: the events of the agents, and which agent ran a task when."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ _ENDS = ("task_frozen", "task_stopped", "task_failed", "task_given_up")
 
 @dataclass(frozen=True, slots=True)
 class MissionEvent:
-    """Something that an agent said has happened: a line of `events.jsonl`.
+    """An event of an agent: a line of `events.jsonl`.
 
     Attributes:
         t_s: mission time.
-        agent: the agent that said so.
-        kind: what happened.
-        fields: the rest of the line.
+        agent: the agent that published it.
+        kind: the kind of event.
+        fields: the other fields of the line.
     """
 
     t_s: float
@@ -34,7 +34,7 @@ class MissionEvent:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MissionRecord:
-    """All that the agents told in the course of a mission.
+    """All events of a mission.
 
     Attributes:
         events: the events, in the order of time.
@@ -43,11 +43,11 @@ class MissionRecord:
     events: list[MissionEvent]
 
     def running_at_first(self, task: str) -> list[str]:
-        """Return the agents that ran a task already when the mission began: so the launcher's `roster` says."""
+        """Return the agents that ran a task when the mission began, according to the launcher's `roster`."""
         return [event.agent for event in self.told("roster") if task in event.fields.get("tasks", ())]
 
     def told(self, kind: str, agent: str = "", task: str = "") -> Iterator[MissionEvent]:
-        """Yield the events of a kind, of one agent and about one task if these are given."""
+        """Yield the events of a kind, optionally only of one agent or about one task."""
         for event in self.events:
             if event.kind == kind and agent in ("", event.agent) and task in ("", event.fields.get("task")):
                 yield event
@@ -60,7 +60,7 @@ class Holder:
     Attributes:
         agent: the agent.
         start_s: mission time.
-        end_s: mission time; the mission's end where the task still ran then.
+        end_s: mission time; the mission's end if the task still ran then.
     """
 
     agent: str
@@ -72,7 +72,7 @@ def read_events(out_dir: Path) -> list[MissionEvent]:
     """Read the `events.jsonl` of a mission.
 
     Raises:
-        PancakesError: it is missing, or is not what it should be; it names the line.
+        PancakesError: the file is missing, or a line is malformed; the message names the line.
     """
     path = out_dir / "events.jsonl"
     events = []
@@ -82,15 +82,15 @@ def read_events(out_dir: Path) -> list[MissionEvent]:
             event = MissionEvent(float(fields.pop("t_s")), str(fields.pop("agent")), str(fields.pop("kind")), fields)
             events.append(event)
         except (AttributeError, KeyError, TypeError, ValueError, RecursionError) as error:
-            raise PancakesError(f"{path}: line {number} is no event: {why_malformed(error)}") from None
+            raise PancakesError(f"{path}: line {number} is not an event: {why_malformed(error)}") from None
     return sorted(events, key=lambda event: event.t_s)
 
 
 def read_lines(path: Path, split: Callable[[TextIO], Iterable[_T]]) -> Iterator[tuple[int, _T]]:
-    """Yield what `split` makes of a mission's file, numbered from 1.
+    """Yield the items into which `split` divides a mission's file, numbered from 1.
 
     Raises:
-        PancakesError: it cannot be read.
+        PancakesError: the file cannot be read.
     """
     try:
         with path.open(encoding="utf-8", newline="") as file:
@@ -102,7 +102,7 @@ def read_lines(path: Path, split: Callable[[TextIO], Iterable[_T]]) -> Iterator[
 def holders(story: MissionRecord, task: str, end_s: float) -> list[Holder]:
     """Return the agents that ran a task, in the order of time.
 
-    A task that is frozen for a move runs no more, nor does any on an agent that was killed.
+    A task does not run from its freeze for a migration on, nor on an agent that was killed.
     """
     found = []
     since: dict[str, float] = dict.fromkeys(story.running_at_first(task), 0.0)
@@ -120,7 +120,7 @@ def holders(story: MissionRecord, task: str, end_s: float) -> list[Holder]:
 
 
 def _joined(found: list[Holder]) -> list[Holder]:
-    """Make one of what a restart, or a move that was called off, broke in two."""
+    """Join stays of the same agent that a restart, or a cancelled migration, split."""
     joined: list[Holder] = []
     for holder in sorted(found, key=lambda holder: (holder.start_s, holder.end_s)):
         last = joined[-1] if joined else None

@@ -1,7 +1,7 @@
-"""Run one demo under many seeds, in virtual time, each mission in one of several processes.
+"""Run one demo with many seeds, in virtual time, each mission in one of several processes.
 
-`fly_unattended` runs one mission with nothing but its results: no view, no page, no picture. The same seed writes the
-same bytes as `pancakes demo`.
+`fly_unattended` runs one mission without a view, a page or pictures. The same seed writes the same bytes as `pancakes
+demo`.
 """
 
 from __future__ import annotations
@@ -37,15 +37,15 @@ from pancakes.util.plugins import Plugins
 
 @dataclass(frozen=True, slots=True)
 class MissionWishes:
-    """What is asked for besides a seed; it travels to other processes.
+    """The options of a mission besides its seed; it is sent to other processes.
 
     Attributes:
         demo: the demo's name.
         duration_s: mission seconds; None: the demo's own length.
-        configs: the folder with the agents' configurations; None: those that come with the demo.
-        sets: what is changed of them, as `--set` takes it.
+        configs: the folder with the agents' configurations; None: those of the demo.
+        sets: changes of the configurations, as for `--set`.
         faults: whether the network has faults.
-        record: whether what all agents say is recorded.
+        record: whether the packets of all agents are recorded.
     """
 
     demo: str
@@ -57,10 +57,10 @@ class MissionWishes:
 
 
 def plan_of(found: Demo, out: Path, seed: int, wishes: MissionWishes, plugins: Plugins) -> DemoPlan:
-    """Work out a mission.
+    """Plan a mission.
 
     Raises:
-        PancakesError: a file is missing or wrong.
+        PancakesError: a file is missing or invalid.
     """
     duration_s = found.duration_s if wishes.duration_s is None else wishes.duration_s
     recording = (f'record.path="{out / RECORDING}/{{agent}}.mcap"',) if wishes.record else ()
@@ -74,14 +74,14 @@ def fly_unattended(seed: int, out: Path, wishes: MissionWishes, said: list[str])
     Args:
         seed: its seed.
         out: the folder for its results, without pictures.
-        wishes: what else is asked for.
-        said: gets a sentence on each recording that is not as it should be.
+        wishes: its other options.
+        said: gets a sentence about each recording that is incomplete.
 
     Returns:
         The summary.
 
     Raises:
-        PancakesError: it cannot be run.
+        PancakesError: the mission cannot be run.
     """
     plugins = Plugins()
     found: Demo | Comparison = plugins.get("pancakes.demos", wishes.demo)
@@ -93,8 +93,8 @@ def fly_unattended(seed: int, out: Path, wishes: MissionWishes, said: list[str])
     timings: dict[str, Mapping[str, Any]] = {}
     for variant in found.variants:
         own = replace(wishes, sets=(*variant.sets, *wishes.sets))
-        flown = _fly(found.mission, seed, out / variant.name, own, plugins, said)
-        runs[variant.name], summaries[variant.name], timings[variant.name] = flown
+        result = _fly(found.mission, seed, out / variant.name, own, plugins, said)
+        runs[variant.name], summaries[variant.name], timings[variant.name] = result
     summary = found.judge(out, runs, summaries)
     write_results(out, summary, timings)
     return summary
@@ -113,9 +113,9 @@ def _fly(
 
 
 LOOK_S: Final = 0.1
-"""How often, in host time, it looks whether it was interrupted."""
+"""The period, in host time, of the check for an interruption."""
 END_S: Final = 1.0
-"""How long a process has to end that has nothing more to do."""
+"""How long an idle process may take to end."""
 PASSED: Final = "PASS"
 BROKEN: Final = "ERROR"
 """The verdict on a mission that could not be run to its end."""
@@ -125,15 +125,15 @@ _spawn = multiprocessing.get_context("spawn")
 
 @dataclass(frozen=True, slots=True)
 class MissionOutcome:
-    """What became of one mission.
+    """The outcome of one mission.
 
     Attributes:
         seed: its seed.
         out: the folder with its results.
-        verdict: `PASS` or `FAIL`, as its judge says; `ERROR` if it could not be run to its end.
+        verdict: `PASS` or `FAIL` from its judge; `ERROR` if it could not be run to its end.
         reasons: why it is not `PASS`, as sentences.
-        summary: what its judge says; empty for an `ERROR`.
-        said: sentences on recordings that are not as they should be.
+        summary: the summary of its judge; empty for an `ERROR`.
+        said: sentences about incomplete recordings.
     """
 
     seed: int
@@ -146,7 +146,7 @@ class MissionOutcome:
 
 @dataclass(eq=False, slots=True)
 class _MissionProcess:
-    """A process that runs missions, one after the other, and the mission that it runs now."""
+    """A process that runs one mission at a time, and its present mission."""
 
     process: multiprocessing.process.BaseProcess
     pipe: connection.Connection
@@ -162,17 +162,17 @@ def fly_many(
     interrupted: Callable[[], bool],
     prepare: Callable[[], None],
 ) -> Iterator[MissionOutcome]:
-    """Run a mission for each seed, and yield what became of each, in the order in which they end.
+    """Run a mission for each seed, and yield the outcomes in the order in which the missions end.
 
-    A process that ends in a mission takes nothing else with it: another one goes on with the next seed.
+    If a process dies, only its mission is lost: a new process continues with the next seed.
 
     Args:
         seeds: the seeds.
-        folder: each mission's results go to a folder below it, of its seed's name.
-        wishes: what else is asked for.
-        jobs: so many processes.
-        interrupted: whether to begin no more missions and to end those that run.
-        prepare: is called first in each process: a function that can be pickled.
+        folder: the results of each mission go to a folder in it that is named after the seed.
+        wishes: the other options of the missions.
+        jobs: the number of processes.
+        interrupted: returns whether to begin no more missions and to end the running ones.
+        prepare: called first in each process; it must be picklable.
     """
     waiting = deque(seeds)
     workers: list[_MissionProcess] = []
@@ -199,8 +199,8 @@ def fly_many(
 def _begin(wishes: MissionWishes, prepare: Callable[[], None]) -> _MissionProcess:
     ours, theirs = _spawn.Pipe()
     process = _spawn.Process(target=_serve, args=(theirs, wishes, prepare), daemon=True)
-    # Ctrl-C reaches all processes of a terminal: the one that gives missions out ends the others. These never see it,
-    # as they begin with what is blocked here; the tracker that Python starts beside the first of them would unblock it.
+    # Ctrl-C reaches all processes of a terminal, but only this one should handle it, and end the others. So they
+    # inherit a blocked SIGINT. Python's resource tracker must run before that: starting it would unblock the signal.
     resource_tracker.ensure_running()
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
@@ -216,11 +216,11 @@ def _give(worker: _MissionProcess, seed: int, folder: Path) -> None:
     try:
         worker.pipe.send((seed, worker.out))
     except OSError:
-        pass  # it has ended: that is what reading from it says
+        pass  # the process has ended: `_take` finds that out
 
 
 def _take(worker: _MissionProcess) -> MissionOutcome:
-    """Take what a process tells of its mission, or see that it has ended."""
+    """Return the outcome that a process sends, or that of a process that has ended."""
     try:
         outcome = worker.pipe.recv()
         assert isinstance(outcome, MissionOutcome)
@@ -242,7 +242,7 @@ def _ended(code: int | None) -> str:
 
 
 def _end(worker: _MissionProcess) -> None:
-    worker.pipe.close()  # it reads that nothing more comes
+    worker.pipe.close()  # tells the process that no more missions come
     worker.process.join(END_S)
     if worker.process.is_alive():
         worker.process.kill()
@@ -251,8 +251,8 @@ def _end(worker: _MissionProcess) -> None:
 
 
 def _serve(pipe: connection.Connection, wishes: MissionWishes, prepare: Callable[[], None]) -> None:
-    """Run missions in a process of its own, until none is asked for any more."""
-    os.dup2(2, 1)  # what a plug-in prints is no part of the results
+    """Run the missions that the pipe brings, until it is closed. This is the main function of a process."""
+    os.dup2(2, 1)  # keep the output of plug-ins out of the results
     prepare()
     while True:
         try:
@@ -271,6 +271,6 @@ def _outcome(seed: int, out: Path, wishes: MissionWishes) -> MissionOutcome:
         summary = fly_unattended(seed, out, wishes, said)
     except PancakesError as error:
         return MissionOutcome(seed, out, BROKEN, (str(error),), {}, said)
-    except Exception as error:  # one mission that breaks takes no other with it
+    except Exception as error:  # a broken mission must not end the other missions
         return MissionOutcome(seed, out, BROKEN, (describe(error),), {}, said)
     return MissionOutcome(seed, out, str(summary["verdict"]), tuple(summary["reasons"]), summary, said)

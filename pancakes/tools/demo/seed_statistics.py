@@ -1,4 +1,4 @@
-"""Ranges of seeds such as `1-200` or `3,17,20-29`, and how far the figures of many missions lie apart. Pure."""
+"""Ranges of seeds such as `1-200` or `3,17,20-29`, and the spread of figures over many missions. Pure."""
 
 from __future__ import annotations
 
@@ -9,21 +9,21 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 MOST: Final = 100_000
-"""The most seeds of one run; more are a slip of the keyboard."""
+"""The most seeds of one run; more are probably a typing error."""
 _HOW: Final = "write seeds as 1-200, or as 3,17,20-29"
 
 
 def seeds_of(text: str) -> tuple[int, ...]:
-    """Return the seeds that a text names, in ascending order and each once.
+    """Parse ranges of seeds; return them in ascending order and without duplicates.
 
     Raises:
-        ValueError: it names none; the message is a sentence without its beginning, which is the text.
+        ValueError: the text is malformed; the message is a sentence.
     """
     found: set[int] = set()
     for part in text.replace(" ", "").split(","):
         match = re.fullmatch(r"(\d+)(?:-(\d+))?", part, re.ASCII)
         if match is None:
-            raise ValueError(f"{part or text!r} is no range of seeds: {_HOW}")
+            raise ValueError(f"{part or text!r} is not a range of seeds: {_HOW}")
         if len(part) > 2 * 19 + 1:
             raise ValueError(f"{part!r} has a seed of more than 18 digits: {_HOW}")
         first, last = int(match[1]), int(match[2] or match[1])
@@ -36,7 +36,7 @@ def seeds_of(text: str) -> tuple[int, ...]:
 
 
 def text_of_seeds(seeds: Iterable[int]) -> str:
-    """Return seeds as `seeds_of` takes them, neighbours as ranges."""
+    """Format seeds for `seeds_of`, with consecutive ones as ranges."""
     parts: list[list[int]] = []
     for seed in sorted(set(seeds)):
         if parts and parts[-1][1] == seed - 1:
@@ -47,7 +47,7 @@ def text_of_seeds(seeds: Iterable[int]) -> str:
 
 
 _GIVEN: Final = ("seed", "duration_s")
-"""What a summary repeats of what was asked for: no figure of the mission."""
+"""The keys of a summary that repeat options, and are not figures of the mission."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,11 +55,11 @@ class Spread:
     """One figure of many missions.
 
     Attributes:
-        figure: where it stands in a summary, as `radius_error_m.agent1.max`.
-        missions: so many missions have it; in the others it is null or not there.
-        min: the smallest.
-        median: half of them are no larger.
-        max: the largest.
+        figure: its path in the summary, such as `radius_error_m.agent1.max`.
+        missions: how many missions have it; in the others it is null or missing.
+        min: the smallest value.
+        median: the median.
+        max: the largest value.
     """
 
     figure: str
@@ -70,12 +70,12 @@ class Spread:
 
     @property
     def differs(self) -> bool:
-        """Whether the missions differ in it."""
+        """Whether its values differ."""
         return self.min != self.max
 
 
 def spreads_of(summaries: Iterable[Mapping[str, Any]]) -> list[Spread]:
-    """Return the spread of each figure that stands in summaries, in the order in which they first come."""
+    """Return the spread of each figure in the summaries, in the order of first appearance."""
     found: dict[str, list[float]] = {}
     for summary in summaries:
         for figure, value in figures_of({key: value for key, value in summary.items() if key not in _GIVEN}):
@@ -87,7 +87,7 @@ def spreads_of(summaries: Iterable[Mapping[str, Any]]) -> list[Spread]:
 
 
 def figures_of(summary: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, float]]:
-    """Yield the numbers of a summary with where they stand, those in tables too; what is in lists is left out."""
+    """Yield the numbers of a summary with their paths, including those in tables but not those in lists."""
     for key, value in summary.items():
         if isinstance(value, Mapping):
             yield from figures_of(value, f"{before}{key}.")

@@ -1,4 +1,4 @@
-"""What a person sees of a mission while it runs: a live table in a terminal, or plain lines."""
+"""Show a mission while it runs: as a live table in a terminal, or as plain lines."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from pancakes.util.text import printable
 REFRESH_HZ = 8
 SHOWN_EVENTS = 14
 FRAME_LINES = 3
-"""Of the terminal's height, for the frame around the events and the line below it."""
+"""The lines of the terminal that the frame around the events and the line below it take."""
 
 
 class PlainView:
-    """One line for each event, for logs and pipes."""
+    """Print one line for each event, for logs and pipes."""
 
     def __init__(self, demo: Demo, mission: Mission, out: TextIO | None = None) -> None:
         self._out = out or sys.stdout
         self._lock = threading.Lock()
-        self._said_behind_s = 0.0
+        self._reported_behind_s = 0.0
         self._mission = mission
         mission.told = self.tell
         mission.changed = self._look
@@ -39,15 +39,15 @@ class PlainView:
         self._mission.changed = lambda: None
 
     def tell(self, record: Mapping[str, Any]) -> None:
-        """Write one event."""
+        """Print one event."""
         if not is_quiet(record):
             self._say(f"{record['t_s']:8.2f} s  {sentence_of(record)}")
 
     def _look(self) -> None:
         behind_s = self._mission.behind_s
-        if behind_s > max(BEHIND_S, 2 * self._said_behind_s):
-            self._said_behind_s = behind_s
-            self._say(f"{self._mission.now_s:8.2f} s  the world lies {behind_s:.2f} s behind the clock")
+        if behind_s > max(BEHIND_S, 2 * self._reported_behind_s):
+            self._reported_behind_s = behind_s
+            self._say(f"{self._mission.now_s:8.2f} s  the world is {behind_s:.2f} s behind the clock")
 
     def _say(self, text: str) -> None:
         with self._lock:
@@ -55,12 +55,12 @@ class PlainView:
 
 
 class LiveView:
-    """A table that is drawn again several times a second. Meanwhile nothing else may write to the terminal.
+    """Draw a table several times per second. Meanwhile nothing else may write to the terminal.
 
     Args:
-        demo: what is shown.
-        mission: how it goes.
-        page: the address of the page beside it, which is to stay in sight; empty: there is none.
+        demo: the demo.
+        mission: its mission, which is updated while it runs.
+        page: the address of the page, to be kept visible; empty: no page.
     """
 
     def __init__(self, demo: Demo, mission: Mission, page: str) -> None:
@@ -107,14 +107,14 @@ class LiveView:
         behind = f", {mission.behind_s:.1f} s behind" if mission.behind_s > BEHIND_S else ""
         if mission.phase == "connecting":
             waiting = "; ".join(f"{agent} {why}" for agent, why in list(mission.waiting_for.items()))
-            head = f"waiting for the agents: {printable(waiting) or 'they send what happens'}"
+            head = f"waiting for the agents: {printable(waiting) or 'they subscribe the launcher'}"
         else:
             head = f"{mission.now_s:6.1f} of {mission.duration_s:.0f} s{behind}"
         above: list[Any] = [Text(head, style="bold", no_wrap=True, overflow="ellipsis")]
         if self._page:
             above.append(Text(f"the page is at {self._page}", overflow="fold"))
         upper = Panel(Group(*above, table), title=self._demo.title)
-        # So many of the last lines as there is room for, as plain text: what plug-ins say is no markup.
+        # Show as many of the last lines as fit. They are plain text, because plug-ins do not write rich's markup.
         used = len(self._console.render_lines(upper, pad=False)) + FRAME_LINES
         lines = list(self._lines)[-max(1, min(SHOWN_EVENTS, self._console.height - used)) :]
         events = Text("\n".join(lines) or "nothing has happened yet", no_wrap=True, overflow="ellipsis")

@@ -1,1 +1,1 @@
-"""What an agent does and costs, as Prometheus reads it."""
+"""The metrics of an agent for Prometheus."""

@@ -26,21 +26,21 @@ from pancakes.util.runtime_dir import make_directory, runtime_dir
 
 
 class MetricsService(Service):
-    """Serve metrics over HTTP, in a thread of its own; what an agent does is counted where it happens.
+    """Serve metrics over HTTP, in its own thread. Events are counted where they happen.
 
     Attributes:
-        port: the port that it is served at, once it is.
+        port: the port of the server; 0 before it runs.
     """
 
     @dataclass
     class Settings:
-        """Where it is served.
+        """The settings of the server.
 
         Attributes:
-            port: the port on 127.0.0.1; 0 takes a free one, which `log` tells.
-            token: whether a request must show a token, because other users of this machine reach 127.0.0.1 too. It is
-                in the file `metrics-PORT.token` of the runtime directory, which this user alone can read; each start
-                makes another.
+            port: the port on 127.0.0.1; 0 takes a free one, which is logged.
+            token: whether a request must have a token, because other users of this machine reach 127.0.0.1 too. The
+                token is in the file `metrics-PORT.token` of the runtime directory, which only this user can read; each
+                start makes a new one.
         """
 
         port: Annotated[int, Meta(ge=0, le=65535)] = 9464
@@ -53,7 +53,7 @@ class MetricsService(Service):
 
     def on_start(self) -> None:
         if self._actor.kernel.virtual is not None:
-            raise PancakesError(f"{self.address} serves no metrics in virtual time, where no second is a second")
+            raise PancakesError(f"{self.address} serves no metrics in virtual time: they need real seconds")
         with needing_extra("there are no metrics"):
             from pancakes.tools.metrics.prometheus import HOST, AgentMetrics, MetricsServer
         self._metrics = AgentMetrics(self._actor.kernel)
@@ -79,13 +79,13 @@ class MetricsService(Service):
 
     @on(LOG, Event, keep=queue(4096))
     def on_event(self, packet: Packet) -> None:
-        """Count what events tell of."""
+        """Count events of this agent."""
         if agent_of(packet.source) == self.agent:
             self._metrics.happened(packet.source, packet.body)
 
     @on(SYSTEM, "battery", keep="latest")
     def on_battery(self, packet: Packet) -> None:
-        """Remember what is left of this agent's battery."""
+        """Remember the level of this agent's battery."""
         if agent_of(packet.source) == self.agent:
             self._metrics.battery_level = packet.body.level
 

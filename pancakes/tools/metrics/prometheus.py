@@ -1,6 +1,6 @@
-"""The metrics of an agent as Prometheus reads them, and the HTTP server for them on the loopback interface.
+"""The metrics of an agent for Prometheus, and the HTTP server for them on the loopback interface.
 
-Some metrics are counted as things happen, the others are read at each request. Needs `prometheus_client`.
+Some metrics are counted when something happens, the others are read at each request. Needs `prometheus_client`.
 """
 
 from __future__ import annotations
@@ -42,21 +42,21 @@ TIMER: Final = "agent service task timer"
 GUARDED: Final = "agent service task"
 MAILBOX: Final = "agent service task channel"
 FAMILIES: Final[Sequence[tuple[str, Any, str, str]]] = (
-    ("task_rate_hertz", GaugeMetricFamily, "The rate that was asked for.", TIMER),
+    ("task_rate_hertz", GaugeMetricFamily, "The wanted rate.", TIMER),
     ("task_ticks", CounterMetricFamily, "Ticks so far.", TIMER),
-    ("task_missed_ticks", CounterMetricFamily, "Ticks that were left out.", TIMER),
+    ("task_missed_ticks", CounterMetricFamily, "Ticks that were skipped.", TIMER),
     ("mailbox_waiting_packets", GaugeMetricFamily, "Packets that wait.", MAILBOX),
-    ("mailbox_handled_packets", CounterMetricFamily, "Packets taken out.", MAILBOX),
-    ("mailbox_dropped_packets", CounterMetricFamily, "Packets that a reader wanted and lost.", MAILBOX),
+    ("mailbox_handled_packets", CounterMetricFamily, "Packets that were handled.", MAILBOX),
+    ("mailbox_dropped_packets", CounterMetricFamily, "Packets that a slow reader lost.", MAILBOX),
     ("task_running", GaugeMetricFamily, "Whether a task runs.", "agent service task"),
     ("task_starts", CounterMetricFamily, "How often a task was started.", "agent service task"),
-    ("guard_permit_seconds", GaugeMetricFamily, "For how long a guarded task may act yet.", GUARDED),
+    ("guard_permit_seconds", GaugeMetricFamily, "How long a guarded task may still act.", GUARDED),
     ("guard_answering_guardians", GaugeMetricFamily, "Guardians that have answered within a lease.", GUARDED),
-    ("guard_wanted_guardians", GaugeMetricFamily, "Guardians that a task is to have.", GUARDED),
+    ("guard_wanted_guardians", GaugeMetricFamily, "Guardians that a task should have.", GUARDED),
     (
         "guard_checkpoint_age_seconds",
         GaugeMetricFamily,
-        "How long ago a task was known to be as the checkpoint says that more than half of its guardians have.",
+        "Age of the newest checkpoint that more than half of the guardians of a task hold.",
         GUARDED,
     ),
     ("link_round_trip_seconds", GaugeMetricFamily, "Round trip of a link, smoothed.", "agent peer"),
@@ -65,20 +65,15 @@ FAMILIES: Final[Sequence[tuple[str, Any, str, str]]] = (
     ("link_sent_bytes", CounterMetricFamily, "Bytes sent.", "agent peer"),
     ("link_received_bytes", CounterMetricFamily, "Bytes received.", "agent peer"),
     ("link_waiting_packets", GaugeMetricFamily, "Packets that wait for a peer.", "agent peer"),
-    ("link_dropped_packets", CounterMetricFamily, "Packets that a slow peer missed.", "agent peer channel"),
+    ("link_dropped_packets", CounterMetricFamily, "Packets that were dropped for a slow peer.", "agent peer channel"),
     ("undelivered_packets", CounterMetricFamily, "Packets that no subscriber took.", "agent"),
     ("dead_letters", CounterMetricFamily, "Packets whose handler failed.", "agent"),
-    ("disk_syncs", CounterMetricFamily, "How often the agent has waited until its disk had all (fsync).", "agent"),
-    (
-        "disk_written_bytes",
-        CounterMetricFamily,
-        "What the agent has written to its journal.",
-        "agent",
-    ),
+    ("disk_syncs", CounterMetricFamily, "Waits for the disk (fsync).", "agent"),
+    ("disk_written_bytes", CounterMetricFamily, "Bytes written to the agent's journal.", "agent"),
     ("mission_seconds", GaugeMetricFamily, "The agent's mission clock.", "agent"),
-    ("battery_level_ratio", GaugeMetricFamily, "What is left of the battery.", "agent"),
+    ("battery_level_ratio", GaugeMetricFamily, "The level of the battery, 0 to 1.", "agent"),
 )
-"""What is read at each request: its name, its kind, what it is, and its labels."""
+"""The metrics that are read at each request: name, kind, description, labels."""
 
 _Value = tuple[str, list[str], float]
 """The name of a metric, the values of its labels, and its own value."""
@@ -91,15 +86,15 @@ class AgentMetrics(Collector):
         kernel: the agent's kernel.
 
     Attributes:
-        registry: what Prometheus' exposition reads.
-        battery_level: what the agent's battery last said, from 0 to 1; None before that.
+        registry: the registry that is served.
+        battery_level: the last level of the agent's battery, from 0 to 1; None before the first reading.
     """
 
     def __init__(self, kernel: Kernel) -> None:
         self._kernel = kernel
         self.battery_level: float | None = None
         self.registry = CollectorRegistry()
-        # First, because it forgets what the others shall no longer tell.
+        # Register it first: its `collect` removes the labels of ended tasks before the other metrics are read.
         self.registry.register(self)
         self._lateness = Histogram(
             "pancakes_task_lateness_seconds",
@@ -110,26 +105,26 @@ class AgentMetrics(Collector):
         )
         self._late: dict[TaskTimer, Any] = {}
         self._migrations = Counter(
-            "pancakes_migrations", "Moves of tasks away from this agent.", ["agent", "outcome"], registry=self.registry
+            "pancakes_migrations", "Migrations of tasks from this agent.", ["agent", "outcome"], registry=self.registry
         )
         self._arrivals = Counter(
             "pancakes_task_arrivals", "Tasks that came from other agents.", ["agent"], registry=self.registry
         )
         self._takeovers = Counter(
             "pancakes_guard_takeovers",
-            "How often this agent took over a guarded task whose agent was lost.",
+            "Take-overs of a guarded task whose agent was lost.",
             ["agent", "service", "task"],
             registry=self.registry,
         )
         self._failures = Counter(
             "pancakes_task_failures",
-            "Tasks that ended by an error.",
+            "Failures of tasks.",
             ["agent", "service", "task", "then"],
             registry=self.registry,
         )
         self._requests = Counter(
             "pancakes_control_changes",
-            "Changes that were asked for by control packets.",
+            "Changes made by control packets.",
             ["agent", "kind"],
             registry=self.registry,
         )
@@ -137,19 +132,19 @@ class AgentMetrics(Collector):
         PlatformCollector(registry=self.registry)
         GCCollector(registry=self.registry)
 
-    # As it happens ---------------------------------------------------------------------------------------------
+    # Counted when it happens -----------------------------------------------------------------------------------
 
     def ticked(self, timer: TaskTimer, lateness_s: float) -> None:
-        """Count a tick. In the task's turn: the labels are looked up once."""
+        """Count a tick. Called in the task's turn, so the labels are looked up only once."""
         child = self._late.get(timer)
         if child is None:
             child = self._late[timer] = self._lateness.labels(*_place(timer.component), timer.method)
         child.observe(lateness_s)
 
     def happened(self, source: str, event: Event) -> None:
-        """Count what an event of this agent tells of; `source` is the address that told it."""
+        """Count an event of this agent; `source` is the address that published it."""
         agent, fields = self._kernel.agent, event.fields
-        service = (*source.split("/"), "")[1]  # a service tells what becomes of its own tasks
+        service = (*source.split("/"), "")[1]  # a service publishes the events of its tasks
         if event.kind == "migration" and fields["source"] == agent and not fields.get("dry_run"):
             self._migrations.labels(agent, fields["outcome"]).inc()
         elif event.kind == "task_arrived":
@@ -161,79 +156,77 @@ class AgentMetrics(Collector):
         elif event.kind in ("asked", "rate_changed", "settings_changed"):
             self._requests.labels(agent, str(fields.get("what", event.kind))).inc()
 
-    # When it is asked for --------------------------------------------------------------------------------------
+    # Read at each request --------------------------------------------------------------------------------------
 
     def collect(self) -> Iterator[Metric]:
-        """Read the rest. In the thread of the HTTP server."""
+        """Read the other metrics. Called in the thread of the HTTP server."""
         self._forget()
-        families = {
-            name: kind(f"pancakes_{name}", text, labels=labels.split()) for name, kind, text, labels in FAMILIES
-        }
+        families = {name: kind(f"pancakes_{name}", text, labels=names.split()) for name, kind, text, names in FAMILIES}
         parts = (self._timers(), self._mailboxes(), self._tasks(), self._guards(), self._links(), self._agent())
-        for name, where, value in chain(*parts):
-            families[name].add_metric(where, value)
+        for name, labels, value in chain(*parts):
+            families[name].add_metric(labels, value)
         yield from families.values()
 
     def describe(self) -> Iterator[Metric]:
-        """Tell nothing beforehand: what there is, depends on the agent."""
+        """Describe nothing in advance, because the metrics depend on the agent."""
         return iter(())
 
     def _forget(self) -> None:
-        """Forget the ticks of tasks that have ended: names that come and go must not fill the memory."""
+        """Remove the labels of tasks that have ended, so that changing names do not fill the memory."""
         alive = set(self._kernel.task_timers.all())
         known = {timer: (*_place(timer.component), timer.method) for timer in list(self._late)}
-        kept = {where for timer, where in known.items() if timer in alive}
-        for timer, where in known.items():
+        kept = {labels for timer, labels in known.items() if timer in alive}
+        for timer, labels in known.items():
             if timer not in alive:
                 self._late.pop(timer, None)
-                if where not in kept:
-                    self._lateness.remove(*where)
+                if labels not in kept:
+                    self._lateness.remove(*labels)
 
     def _timers(self) -> Iterator[_Value]:
         for timer in self._kernel.task_timers.all():
-            where = [*_place(timer.component), timer.method]
-            yield "task_rate_hertz", where, timer.rate_hz
-            yield "task_ticks", where, timer.ticks
-            yield "task_missed_ticks", where, timer.missed_total
+            labels = [*_place(timer.component), timer.method]
+            yield "task_rate_hertz", labels, timer.rate_hz
+            yield "task_ticks", labels, timer.ticks
+            yield "task_missed_ticks", labels, timer.missed_total
 
     def _mailboxes(self) -> Iterator[_Value]:
         for component in self._kernel.registry.components():
             for channel, box in list(component.actor_inbox.queues.items()):
-                where = [*_place(component), channel]
-                yield "mailbox_waiting_packets", where, len(box)
-                yield "mailbox_handled_packets", where, box.handled
-                yield "mailbox_dropped_packets", where, box.dropped()
+                labels = [*_place(component), channel]
+                yield "mailbox_waiting_packets", labels, len(box)
+                yield "mailbox_handled_packets", labels, box.handled
+                yield "mailbox_dropped_packets", labels, box.dropped()
 
     def _tasks(self) -> Iterator[_Value]:
         for task in self._kernel.tasks.all():
-            where = [self._kernel.agent, task.service, task.name]
-            yield "task_running", where, task.life.state is State.RUNNING
-            yield "task_starts", where, task.life.incarnation
+            labels = [self._kernel.agent, task.service, task.name]
+            yield "task_running", labels, task.life.state is State.RUNNING
+            yield "task_starts", labels, task.life.incarnation
 
     def _guards(self) -> Iterator[_Value]:
         now_s = self._kernel.host.now()
         for address, note in self._kernel.guard_notes.all().items():
-            where = address.split("/")
-            self._takeovers.labels(*where)  # one that was never taken over is told as such
-            told = note.plain(now_s, self._kernel.permits.left_s(note.right))
-            yield "guard_permit_seconds", where, told["permit_s"]
-            yield "guard_answering_guardians", where, told["answering"]
-            yield "guard_wanted_guardians", where, told["guard"]
-            if told["age_s"] is not None:
-                yield "guard_checkpoint_age_seconds", where, told["age_s"]
+            labels = address.split("/")
+            self._takeovers.labels(*labels)  # so that a task without a take-over is served with the count 0
+            guarding = note.plain(now_s, self._kernel.permits.left_s(note.right))
+            yield "guard_permit_seconds", labels, guarding["permit_s"]
+            yield "guard_answering_guardians", labels, guarding["answering"]
+            yield "guard_wanted_guardians", labels, guarding["guard"]
+            if guarding["age_s"] is not None:
+                yield "guard_checkpoint_age_seconds", labels, guarding["age_s"]
 
     def _links(self) -> Iterator[_Value]:
         for peer in self._kernel.links():
-            where = [self._kernel.agent, peer["name"]]
+            labels = [self._kernel.agent, peer["name"]]
             if peer["rtt_s"] is not None:
-                yield "link_round_trip_seconds", where, peer["rtt_s"]
-            yield "link_sent_packets", where, peer["packets_out"]
-            yield "link_received_packets", where, peer["packets_in"]
-            yield "link_sent_bytes", where, peer["bytes_out"]
-            yield "link_received_bytes", where, peer["bytes_in"]
-            yield "link_waiting_packets", where, sum(peer["waiting"].values())
+                yield "link_round_trip_seconds", labels, peer["rtt_s"]
+            yield "link_sent_packets", labels, peer["packets_out"]
+            yield "link_received_packets", labels, peer["packets_in"]
+            yield "link_sent_bytes", labels, peer["bytes_out"]
+            yield "link_received_bytes", labels, peer["bytes_in"]
+            yield "link_waiting_packets", labels, sum(peer["waiting"].values())
             for channel, count in peer["dropped"].items():
-                yield "link_dropped_packets", [*where, channel], count
+                yield "link_dropped_packets", [*labels, channel], count
 
     def _agent(self) -> Iterator[_Value]:
         kernel = self._kernel
@@ -248,36 +241,36 @@ class AgentMetrics(Collector):
 
 
 def _place(component: Runnable) -> tuple[str, str, str]:
-    """Return agent, service and task of a component; of a service the task is empty."""
+    """Return agent, service and task of a component; for a service the task is empty."""
     agent, service, task = (*component.address.split("/"), "", "")[:3]
     return agent, service, task
 
 
 HOST: Final = "127.0.0.1"
-"""Metrics tell much about an agent, and any program may ask for them: they are served to this machine only."""
+"""Only this machine is served, because metrics reveal much about an agent, and any program may request them."""
 REQUEST_S: Final = 5.0
 """The time that a request may take to arrive, in host time; then its connection is closed."""
 MOST_REQUESTS: Final = 16
 """The most requests that are answered at a time."""
 LONGEST_BODY: Final = 64 * 1024
-"""The most that is read of a body, which no request here needs, so that its sender gets to read the answer."""
+"""The most bytes that are read of a body. No request needs one, but its sender must get to read the answer."""
 
 _Respond = Callable[[str, list[tuple[str, str]]], object]
 
 
 class MetricsServer:
-    """Answer GET requests that name the loopback interface, in threads of its own, until it is closed.
+    """Answer GET requests that name the loopback interface, in its own threads, until it is closed.
 
     Args:
         port: the port; 0: a free one.
-        registry: what is served.
-        token: what a request must show, as `Authorization: Bearer TOKEN`; empty: nothing.
+        registry: the metrics to serve.
+        token: the token that a request must have, as `Authorization: Bearer TOKEN`; empty: none.
 
     Attributes:
-        port: the port that it is at.
+        port: the port of the server.
 
     Raises:
-        OSError: the port cannot be had.
+        OSError: the port is not available.
     """
 
     def __init__(self, port: int, registry: CollectorRegistry, token: str) -> None:
@@ -288,14 +281,14 @@ class MetricsServer:
         self._thread.start()
 
     def close(self) -> None:
-        """Listen no more. Not from one of its own threads."""
+        """Stop the server. Do not call it from one of the server's own threads."""
         self._server.shutdown()
         self._server.server_close()
         self._thread.join()
 
 
 class _Server(ThreadingMixIn, WSGIServer):
-    """A thread for each request, and no more than so many at a time."""
+    """A server with a thread for each request, and at most `MOST_REQUESTS` at a time."""
 
     daemon_threads = True
 
@@ -310,7 +303,7 @@ class _Server(ThreadingMixIn, WSGIServer):
         full = HTTPStatus.SERVICE_UNAVAILABLE
         with contextlib.suppress(OSError):
             head = f"HTTP/1.1 {full.value} {full.phrase}\r\nConnection: close\r\n\r\n"
-            request.send(f"{head}full: {MOST_REQUESTS} requests are being answered\n".encode())
+            request.send(f"{head}busy: {MOST_REQUESTS} requests are being answered\n".encode())
         self.shutdown_request(request)
 
     def process_request_thread(self, request: Any, client_address: Any) -> None:
@@ -320,11 +313,11 @@ class _Server(ThreadingMixIn, WSGIServer):
             self._room.release()
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """Say nothing of a request that breaks off, or never comes."""
+        """Log nothing about a request that breaks off or never arrives."""
 
 
 class _MetricsRequestHandler(WSGIRequestHandler):
-    """Read one request, and logs nothing."""
+    """Read one request, and log nothing."""
 
     timeout = REQUEST_S
 
@@ -333,23 +326,25 @@ class _MetricsRequestHandler(WSGIRequestHandler):
 
 
 def _guarded(metrics: Callable[..., Iterable[bytes]], token: str) -> Callable[..., Iterable[bytes]]:
-    """Return a WSGI application that hands on what may be asked, and tells others why not."""
+    """Return a WSGI application that passes on permitted requests, and refuses others with a reason."""
 
     def answer(environ: dict[str, Any], respond: _Respond) -> Iterable[bytes]:
         method = environ["REQUEST_METHOD"]
         if not names_loopback([environ.get("HTTP_HOST", "")]):
             return _refuse(environ, respond, HTTPStatus.MISDIRECTED_REQUEST, f"these metrics are at http://{HOST} only")
         if method != "GET":
-            sentence = f"{method[:20]} changes nothing here: there is only GET"
+            sentence = f"{method[:20]} is not supported here: use GET"
             return _refuse(environ, respond, HTTPStatus.METHOD_NOT_ALLOWED, sentence, ("Allow", "GET"))
         if token and not hmac.compare_digest(
             environ.get("HTTP_AUTHORIZATION", "").encode(), f"Bearer {token}".encode()
         ):
             challenge = ("WWW-Authenticate", "Bearer")
-            return _refuse(environ, respond, HTTPStatus.UNAUTHORIZED, "show the token that the log names", challenge)
+            return _refuse(
+                environ, respond, HTTPStatus.UNAUTHORIZED, "send the token from the file that the log names", challenge
+            )
         try:
             return metrics(environ, respond)
-        except Exception as error:  # else the library would print a traceback
+        except Exception as error:  # otherwise the library would print a traceback
             sentence = f"a defect in Pancakes or in prometheus_client: {describe(error)}"
             return _refuse(environ, respond, HTTPStatus.INTERNAL_SERVER_ERROR, sentence)
 
@@ -361,7 +356,7 @@ def _refuse(
 ) -> Iterable[bytes]:
     length = environ.get("CONTENT_LENGTH", "")
     if length.isascii() and length.isdigit():
-        with contextlib.suppress(OSError):  # its sender may have announced more than ever comes
+        with contextlib.suppress(OSError):  # its sender may have announced more than it sends
             environ["wsgi.input"].read(min(int(length[:9]), LONGEST_BODY))
     respond(f"{status.value} {status.phrase}", [("Content-Type", "text/plain; charset=utf-8"), *headers])
     return [f"{sentence}\n".encode()]

@@ -415,7 +415,7 @@ def check_agent(agent: dict[str, Any], facts: Facts) -> Iterator[Finding]:
         text = f"uses {agent['insecure']} without keys: anyone who can reach it can read its packets and command it"
         yield Finding("warning", name, text, "run pancakes fleet join, and remove insecure = true from its file")
     for why in agent["mesh"].get("near_only", ()):
-        yield Finding("warning", name, f"cannot be reached from other machines: {why}", ADVICE)
+        yield Finding("warning", name, f"is not reached from other machines: {why}", ADVICE)
     if agent["dead_letters"]:
         text = f"has {_count(agent['dead_letters'], 'dead letter')}: packets whose handlers failed"
         yield Finding("warning", name, text, f"see which and why: pancakes log --from {name} --level warning")
