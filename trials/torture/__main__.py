@@ -1,4 +1,4 @@
-"""Tries hard to make missions fail, and prints figures. Run by `scripts/torture`."""
+"""`scripts/torture`: try hard to make agents, tasks and missions fail, and print figures."""
 
 from __future__ import annotations
 
@@ -30,26 +30,26 @@ from pancakes.util.plugins import Plugins, UnknownPlugin
 @click.group()
 @click.pass_context
 def torture(context: click.Context) -> None:
-    """Try hard to make it fail."""
+    """Try hard to make Pancakes fail."""
     context.with_resource(interruptible())
 
 
 @torture.command()
-@click.option("--demo", default="encirclement", show_default=True, help="Which mission.")
-@click.option("--seeds", default=200, show_default=True, type=click.IntRange(1), help="How many missions.")
+@click.option("--demo", default="encirclement", show_default=True, help="The mission to run.")
+@click.option("--seeds", default=200, show_default=True, type=click.IntRange(1), help="Number of missions.")
 @click.option("--first", default=1, show_default=True, type=click.IntRange(0), help="The first seed.")
 @click.option(
     "--jobs", default=os.cpu_count() or 1, show_default=True, type=click.IntRange(1), help="How many at once."
 )
 @click.option("--faults/--no-faults", default=True, show_default=True, help="Latency, jitter and broken links.")
 @click.option(
-    "--batteries", is_flag=True, help="Draw agent 1's battery too: the hand-over falls anywhere on the circle."
+    "--batteries", is_flag=True, help="Draw agent 1's battery, too: then it migrates its task anywhere on the circle."
 )
 @json_option
 def missions(
     demo: str, seeds: int, first: int, jobs: int, faults: bool, batteries: bool, json_file: Path | None
 ) -> None:
-    """Whole missions in virtual time, a seed each; exit code 0 only where all of them PASS."""
+    """Run whole missions in virtual time, one per seed; the exit code is 0 only if all of them PASS."""
     try:
         Plugins().get("pancakes.demos", demo)
     except UnknownPlugin as error:
@@ -78,14 +78,14 @@ def missions(
 
 
 @torture.command()
-@click.option("--frames", default=10_000_000, show_default=True, type=click.IntRange(1), help="How many frames.")
-@click.option("--ended", default=100_000, show_default=True, type=click.IntRange(1), help="How many links are to end.")
-@click.option("--seed", default=1, show_default=True, help="Draws the frames.")
+@click.option("--frames", default=10_000_000, show_default=True, type=click.IntRange(1), help="Number of frames.")
+@click.option("--ended", default=100_000, show_default=True, type=click.IntRange(1), help="Links that must end.")
+@click.option("--seed", default=1, show_default=True, help="Seed of the frames.")
 @json_option
 def fuzz(frames: int, ended: int, seed: int, json_file: Path | None) -> None:
-    """A member of the fleet sends a live agent frames that are nearly right, over TLS, after a true hello.
+    """Send a live agent frames that are nearly valid, as a member of its fleet, over TLS, after a valid hello.
 
-    Exit code 0 only where the agent lives, says nothing of a defect, and its memory stays within 32 MiB.
+    The exit code is 0 only if the agent survives, logs no defect, and its memory grows by at most 32 MiB.
     """
     began_s = time.monotonic()
     with tempfile.TemporaryDirectory(prefix="pancakes-fuzz-") as directory:
@@ -98,24 +98,24 @@ def fuzz(frames: int, ended: int, seed: int, json_file: Path | None) -> None:
     for sentence in wrong[:20]:
         print(sentence)
     print(f"{found.frames} frames, {found.ended} links ended, in {time.monotonic() - began_s:.0f} s")
-    print(f"memory: {found.grown_mib:+.1f} MiB; {len(wrong)} things are not as they should be")
+    print(f"memory: {found.grown_mib:+.1f} MiB; {len(wrong)} faults")
     write(json_file, {"frames": found.frames, "ended": found.ended, "grown_mib": found.grown_mib, "wrong": wrong})
     sys.exit(1 if wrong else 0)
 
 
 @torture.command()
-@click.option("--seeds", default=10_000, show_default=True, type=click.IntRange(1), help="How many schedules.")
+@click.option("--seeds", default=10_000, show_default=True, type=click.IntRange(1), help="Number of schedules.")
 @click.option("--first", default=1, show_default=True, type=click.IntRange(0), help="The first seed.")
 @click.option(
     "--jobs", default=os.cpu_count() or 1, show_default=True, type=click.IntRange(1), help="How many at once."
 )
-@click.option("--trace", is_flag=True, help="Tell the story of each, a line for each thing that happens.")
+@click.option("--trace", is_flag=True, help="Print what happens, a line for each event.")
 @json_option
 def schedules(seeds: int, first: int, jobs: int, trace: bool, json_file: Path | None) -> None:
-    """Fault schedules of whole virtual agents whose tasks move: each task runs once at most, and once in the end.
+    """Run fault schedules of virtual agents with migrating tasks: each task runs at most once, and once at the end.
 
-    A seed that fails does exactly the same again with --first SEED --seeds 1 --trace, and tells its story.
-    Exit code 0 only where none fails.
+    A seed that fails does exactly the same again with --first SEED --seeds 1 --trace, which prints what happens.
+    The exit code is 0 only if none fails.
     """
     began_s = time.monotonic()
     violations: dict[int, str] = {}
@@ -167,7 +167,7 @@ COUNTED = (
     ("copies started", "start"),
     ("packets from task to task", "note"),
 )
-"""What is counted in fault schedules: how it is called, and its key in `Outcome.counts`."""
+"""The figures of fault schedules: their names for people, and their keys in `Outcome.counts`."""
 
 
 for live in (kills, cuts, gap, gate, load, standstill, storms, takeovers):

@@ -1,4 +1,4 @@
-"""The link between two real agents is cut at each step of a hand-over; how each must end is in the table `ENDS`."""
+"""Cut the link between two real agents at each step of a hand-off; the table `ENDS` says how each must end."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ class End(NamedTuple):
     """Where the task runs.
 
     Attributes:
-        meanwhile: while the link is cut, and who died is dead; the agents that it may be.
-        finally_: once the link has healed and all agents are back.
+        meanwhile: the agents that may run it while the link is cut and the killed agent is dead.
+        finally_: the agents that may run it after the link has healed and all agents are back.
     """
 
     meanwhile: tuple[str, ...]
@@ -38,17 +38,17 @@ class End(NamedTuple):
 
 
 def ends(step: str, fate: str, tells_losses: bool = True) -> End:
-    """Returns how a cut at a step must end; `source` is where the task was, `destination` where it was to go.
+    """Return how a cut at a step must end; the task was to migrate from `source` to `destination`.
 
     Args:
         step: at which word.
         fate: what happens then.
-        tells_losses: whether the word is lost for good, see `Ground`.
+        tells_losses: whether the message is lost for good, see `Ground`.
     """
     given_away = step in ("commit", "activated")  # the source has written COMMITTED: there is no way back
     taken = step == "activated"
     if fate == "heals at once":
-        # In the middle, what was lost is said again, or the source takes the task back: both are right.
+        # In the middle, a lost message is repeated, or the source takes the task back: both are right.
         either = not tells_losses or step in ("transfer", "prepared")
         return End(
             ("source", "destination", NOBODY),
@@ -66,12 +66,12 @@ class Case(NamedTuple):
     """One cut, and how it ended.
 
     Attributes:
-        step: at which word of the protocol.
+        step: the message of the protocol at which the link was cut.
         fate: what happened then.
         meanwhile: where the task ran while the link was cut.
-        finally_: where it ran in the end.
-        settled_s: how long after the healing that was so.
-        faults: a sentence for each thing that is not as it must be.
+        finally_: where it ran at the end.
+        settled_s: how long after the healing it ran there.
+        faults: a sentence for each fault.
     """
 
     step: str
@@ -86,7 +86,7 @@ class Cutter:
     """Makes cuts, several at once.
 
     Args:
-        survey: makes the ground that the two agents of each cut stand on.
+        survey: makes the network of the two agents of each cut.
     """
 
     def __init__(self, survey: Survey = by_proxy) -> None:
@@ -94,7 +94,7 @@ class Cutter:
         self._waits = Waits()
 
     def run(self, cases: Sequence[tuple[str, str]], jobs: int) -> Iterator[Case]:
-        """Makes cuts, each a step and a fate, and yields how they ended, in their order.
+        """Make cuts, each a step and a fate, and yield how they ended, in their order.
 
         Where whoever takes them stops early, or is interrupted, those under way are broken off.
         """
@@ -106,7 +106,7 @@ class Cutter:
                 pool.shutdown(cancel_futures=True)
 
     def _cut(self, step: str, fate: str) -> Case:
-        """Cuts the link once, between two agents that are started for it."""
+        """Cut the link once, between two agents that are started for it."""
         ground = self._survey(NAMES)
         with tempfile.TemporaryDirectory(prefix="pancakes-cut-") as name:
             task = f'[task.One]\ntype = "torture.Holder"\nsettings = {{directory = "{name}"}}\n'
@@ -151,20 +151,20 @@ class Cutter:
         return Case(step, fate, meanwhile, finally_, settled_s, tuple(faults))
 
     def _settled(self, fleet: LiveFleet, expected: End) -> tuple[str, float]:
-        """Watches until the task runs where it is to; returns who runs it, and after how many seconds that was so."""
+        """Watch until the task runs where it must; return the agent, and after how many seconds this was so."""
         healed_s = time.monotonic()
         runs, settled_s = NOBODY, 0.0
         while (now_s := time.monotonic()) < healed_s + SETTLES_WITHIN_S:
             before, runs = runs, self._runs(fleet, 0.4)
             if runs != before:
                 settled_s = now_s - healed_s
-            # Looked at for longer than anything takes that might still turn it round.
+            # Watch for longer than anything could take that might still change it.
             if runs in expected.finally_ and now_s > healed_s + max(2.5, settled_s + 1.0):
                 break
         return runs, settled_s
 
     def _runs(self, fleet: LiveFleet, for_s: float) -> str:
-        """Watches for a while who works, by what the task writes itself."""
+        """Watch for a while which agents run the task, by the task's own file."""
         count = fleet.directory / "One.count"
         before = count.stat().st_size
         self._waits.let(for_s)
@@ -175,7 +175,7 @@ class Cutter:
 
 
 def wait_for_both(client: Client, one: str, other: str) -> None:
-    """Waits until two agents have found each other, and the tasks of the first, which are new, are born."""
+    """Wait until two agents have found each other, and the new tasks of the first one exist."""
     until_s = time.monotonic() + 20.0
     while time.monotonic() < until_s:
         try:
@@ -183,7 +183,7 @@ def wait_for_both(client: Client, one: str, other: str) -> None:
             tasks = [task for task in found["tasks"] if task["service"] == "client"]
             if found["neighbours"] == [other] and all(task["state"] == "running" for task in tasks):
                 return
-        except PancakesError:  # it has only just been started
+        except PancakesError:  # the agent is only just starting
             pass
         time.sleep(0.05)
     raise TimeoutError(f"{one} and {other} did not find each other within 20 s, or its tasks do not run")
@@ -192,5 +192,5 @@ def wait_for_both(client: Client, one: str, other: str) -> None:
 def _ask(client: Client) -> None:
     try:
         client.request("source", Migrate("client/One"))
-    except PancakesError:  # who was asked has died, as it was to
+    except PancakesError:  # the agent was killed, as planned
         pass

@@ -1,4 +1,4 @@
-"""Deals out the kinds of faults to several fleets, so that each kind comes as often as any other."""
+"""Deal out the kinds of faults to several fleets, so that each kind is equally frequent."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ from collections.abc import Collection, Sequence
 
 
 class Deck:
-    """Kinds in a drawn order, again and again. Any thread.
+    """All kinds in random order, again and again. Any thread.
 
     Args:
         kinds: all of them.
-        count: so many are dealt out at most, in all.
+        count: the most kinds to deal out, in all.
         draw: draws the order.
 
     Attributes:
-        left: so many are still to be dealt out.
+        left: how many may still be dealt out.
     """
 
     def __init__(self, kinds: Sequence[str], count: int, draw: random.Random) -> None:
@@ -27,7 +27,7 @@ class Deck:
         self._cards: list[str] = []
 
     def deal(self, unfit: Collection[str] = ()) -> str:
-        """Returns the next kind that is none of `unfit`; empty: no more are to be had.
+        """Return the next kind that is not in `unfit`; empty: none is left.
 
         Args:
             unfit: kinds that cannot be had just now; others get them later.

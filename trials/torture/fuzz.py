@@ -1,7 +1,7 @@
-"""A member of the fleet that sends what no agent would: names, sources, runs and hand-offs that are nearly right.
+"""Fuzz an agent as a member of its fleet: send names, sources, runs and hand-offs that are nearly valid.
 
-It has keys, and says a true hello; then it sends frames as fast as the agent takes them. Some break the protocol, and
-end its link: it makes another. Whatever comes, the agent lives, answers its own user, and keeps its memory.
+The fuzzer has keys and sends a valid hello, then frames as fast as the agent takes them. Some frames break the
+protocol and so end the link; then it connects again. The agent must survive, answer its own user, and not grow.
 """
 
 from __future__ import annotations
@@ -47,9 +47,9 @@ from pancakes.mesh.messages import AgentSeen, Gossip, Ping, Pong, RosterNumber
 from pancakes.packet import CTRL, LOG, NETWORK, SYSCTRL, SYSTEM, Packet, type_name
 
 POOL: Final = 4096
-"""So many frames are made beforehand, and sent in any order."""
+"""How many frames are made beforehand, and then sent in random order."""
 BATCH: Final = 256
-"""So many frames are given to the socket at a time."""
+"""How many frames are sent with one call."""
 PATIENCE_S: Final = 30.0
 MEMORY_MIB: Final = 32.0
 NAMES: Final = (
@@ -112,13 +112,13 @@ _BODIES: Final[Sequence[tuple[str, Any]]] = (
 
 @dataclass
 class Fuzzed:
-    """What came of it.
+    """The result.
 
     Attributes:
-        frames: how many were sent.
-        ended: how many links the agent has ended.
-        grown_mib: by how much its memory has grown.
-        said: what its log has of defects.
+        frames: how many frames were sent.
+        ended: how many links the agent ended.
+        grown_mib: how much its memory grew.
+        said: the lines of its log about defects.
     """
 
     frames: int
@@ -128,7 +128,7 @@ class Fuzzed:
 
 
 def pools(source: random.Random) -> tuple[list[bytes], list[bytes]]:
-    """Returns frames that keep a link, and frames that end one: of most a part is not as it should be."""
+    """Return frames that keep a link, and frames that end one; most have a wrong part."""
     keeping = [
         frame([encode_link_message(Gossip((AgentSeen(f"n{number}", f"tcp://10.0.0.{number}:9"),)))])
         for number in range(50)
@@ -158,7 +158,7 @@ def pools(source: random.Random) -> tuple[list[bytes], list[bytes]]:
 
 
 def is_kept(made: bytes) -> bool:
-    """Returns whether a frame breaks no rule of the protocol: its packets may still be of no use."""
+    """Return whether a frame breaks no rule of the protocol, even if its packets are useless."""
     try:
         return all(isinstance(it, PacketRun) and list(packets_of(it)) for it in messages_from_payload(made[4:]))
     except RemoteProtocolError:
@@ -166,7 +166,7 @@ def is_kept(made: bytes) -> bool:
 
 
 def changed(value: Any, source: random.Random) -> Any:
-    """Returns a message in which one part is something else."""
+    """Return a message with one part replaced."""
     if isinstance(value, list) and value and source.random() < 0.9:
         place = source.randrange(len(value))
         deed = source.random()
@@ -192,7 +192,7 @@ class Fuzzer:
     Args:
         folder: its keys.
         port: where the agent listens.
-        source: draws what is sent.
+        source: random numbers for the frames.
     """
 
     def __init__(self, folder: Path, port: int, source: random.Random) -> None:
@@ -213,7 +213,7 @@ class Fuzzer:
             yield link
 
     def send(self, frames: int, ended: int) -> tuple[int, int]:
-        """Sends so many frames at least, until so many links have been ended; returns both numbers.
+        """Send at least `frames` frames, until `ended` links have ended; return both numbers.
 
         Raises:
             ConnectionRefusedError: the agent has ended.
@@ -240,7 +240,7 @@ class Fuzzer:
         return sent, links
 
     def _give(self, link: ssl.SSLSocket, data: bytes) -> None:
-        """Sends, and reads what comes: an agent whose answers are not taken would stop reading."""
+        """Send, and read the answers: an agent whose answers are not read would stop reading."""
         view = memoryview(data)
         until_s = time.monotonic() + PATIENCE_S
         while view:
@@ -259,18 +259,18 @@ class Fuzzer:
 
 
 def fuzz(rig: Rig, frames: int, ended: int, seed: int) -> Fuzzed:
-    """Sends frames to a live agent; returns what came of it.
+    """Send frames to a live agent; return the result.
 
     Args:
         rig: starts it.
         frames: how many frames.
-        ended: how many links are to end.
-        seed: draws them.
+        ended: how many links must end.
+        seed: the seed of the frames.
     """
     agent = rig.ready("a", _AGENT, agent=f'state_dir = "{rig.directory}/state"')
     fuzzer = Fuzzer(rig.keys.of_agent("test", "z"), rig.port(agent), random.Random(seed))
     try:
-        fuzzer.send(frames // 20, ended // 20)  # what it takes once
+        fuzzer.send(frames // 20, ended // 20)  # memory that the agent needs only once
         before = psutil.Process(agent.pid).memory_info().rss
         sent, links = fuzzer.send(frames, ended)
     except ConnectionRefusedError:
@@ -292,7 +292,7 @@ def _is_defect(line: str) -> bool:
 
 
 def unsound(found: Fuzzed) -> list[str]:
-    """Returns what was not as it should be, as sentences."""
+    """Return a sentence for each fault."""
     wrong = [f"the agent said: {line}" for line in found.said]
     if found.grown_mib > MEMORY_MIB:
         wrong.append(f"its memory has grown by {found.grown_mib:.1f} MiB")

@@ -1,4 +1,4 @@
-"""The gap in control: for how long an actuator hears nothing while the task that commands it moves to another agent."""
+"""Measure the gap in control: how long an actuator gets no command while its task migrates to another agent."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ from pancakes.control import Migrate
 
 NAMES = ("left", "right")
 PERIOD_S = 0.01
-"""The task's own: without any move its commands are so far apart."""
+"""The period of the task: the gap between its commands without a migration."""
 
 
 class Gaps(NamedTuple):
-    """What the actuators of two agents heard.
+    """The commands that the actuators of two agents got.
 
     Attributes:
         state_bytes: how much state the task carried.
-        gaps_s: between the last command from one agent and the first from the other, for each move, ascending.
-        refused: a sentence for each move that came to nothing.
-        pauses_s: the longest time without a command in each of those: its task stood still, and went on where it was.
+        gaps_s: the time from the last command of one agent to the first of the other, for each migration, ascending.
+        refused: a sentence for each migration that failed.
+        pauses_s: the longest time without a command in each failed one: the task was paused, and resumed at home.
     """
 
     state_bytes: int
@@ -37,18 +37,18 @@ class Gaps(NamedTuple):
     pauses_s: Sequence[float]
 
     def percentile_s(self, percent: float) -> float:
-        """Returns the gap that so many of a hundred moves do not exceed."""
+        """Return a percentile of the gaps."""
         return self.gaps_s[math.ceil(len(self.gaps_s) * percent / 100) - 1]
 
 
 def measure(state_bytes: int, moves: int, survey: Survey = on_loopback, move_s: float = 20.0) -> Gaps:
-    """Moves a task that drives a hundred times a second to and fro between two real agents.
+    """Migrate a task that drives a hundred times a second to and fro between two real agents.
 
     Args:
         state_bytes: how much state it carries.
-        moves: how often it moves.
-        survey: makes the ground that the agents stand on.
-        move_s: how long a move may take before nobody waits for it any longer.
+        moves: how often it migrates.
+        survey: makes the network of the agents.
+        move_s: how long a migration may take before it is given up.
     """
     ground = survey(NAMES)
     with tempfile.TemporaryDirectory(prefix="pancakes-gap-") as name:
@@ -71,7 +71,7 @@ def measure(state_bytes: int, moves: int, survey: Survey = on_loopback, move_s: 
 
 
 class Attempt(NamedTuple):
-    """One move: when it was asked for and answered, on the machine's clock, and why it was refused, if it was."""
+    """One migration: when it was requested and answered, on the machine's clock, and why it was refused, if it was."""
 
     asked_s: float
     answered_s: float
@@ -79,7 +79,7 @@ class Attempt(NamedTuple):
 
 
 def pilot_on_left(directory: Path, state_bytes: int, guard: str = "") -> dict[str, str]:
-    """Returns what follows `[agent]` in the configurations of both; `guard`: how the task is guarded."""
+    """Return the part after `[agent]` of both configurations; `guard`: how the task is guarded."""
     rest = {
         agent: f'[device.motors]\ndriver = "torture.recorder"\n'
         f'settings = {{file = "{directory / agent}.commands"}}\n'
@@ -91,7 +91,7 @@ def pilot_on_left(directory: Path, state_bytes: int, guard: str = "") -> dict[st
 
 
 def move_to_and_fro(client: Client, moves: int) -> list[Attempt]:
-    """Moves the task from left to right, and back, so often."""
+    """Migrate the task from left to right and back, `moves` times in all."""
     attempts = []
     never = threading.Event()
     at, to = NAMES
@@ -101,13 +101,13 @@ def move_to_and_fro(client: Client, moves: int) -> list[Attempt]:
         if reply.ok:
             at, to = to, at
         attempts.append(Attempt(asked_s, time.monotonic(), "" if reply.ok else reply.reason))
-        # It is to drive for a while, so that each move finds its ticks and checkpoints at another phase.
+        # Let it drive for a while, so that each migration begins at another phase of its ticks and checkpoints.
         never.wait(0.2 + 0.013 * (number % 7))
     return attempts
 
 
 def commands_heard(directory: Path) -> list[tuple[float, str]]:
-    """Returns when each actuator was commanded, on the machine's clock, and whose it is."""
+    """Return the time of each command, on the machine's clock, and the agent of its actuator."""
     heard = []
     for agent in NAMES:
         for line in (directory / f"{agent}.commands").read_text().splitlines():
@@ -116,12 +116,12 @@ def commands_heard(directory: Path) -> list[tuple[float, str]]:
 
 
 def gaps_in(heard: Sequence[tuple[float, str]]) -> list[float]:
-    """Returns the times between the last command of one agent and the first of the other, ascending."""
+    """Return the times between the last command of one agent and the first of the other, ascending."""
     return sorted(now - before for (before, one), (now, other) in zip(heard, heard[1:], strict=False) if one != other)
 
 
 def _longest_pause(heard: Sequence[tuple[float, str]], attempt: Attempt) -> float:
-    """Returns the longest time between two commands during an attempt; it goes on just before it is answered."""
+    """Return the longest time between two commands during an attempt; the task resumes just before the answer."""
     return max(
         (
             now_s - before_s

@@ -1,4 +1,4 @@
-"""The command of `scripts/torture` that measures what still gets past the gate of a guarded task."""
+"""The command of `scripts/torture` that measures late acts: what still passes the gate of a guarded task."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from torture.late_acts import run_late_acts
 
 
 @click.command()
-@click.option("--stops", default=100, show_default=True, type=click.IntRange(1), help="How many stops, in all.")
-@click.option("--fleets", default=2, show_default=True, type=click.IntRange(1), help="How many fleets at once.")
-@click.option("--seed", default=1, show_default=True, help="Draws the moments.")
+@click.option("--stops", default=100, show_default=True, type=click.IntRange(1), help="Number of stops, in all.")
+@click.option("--fleets", default=2, show_default=True, type=click.IntRange(1), help="Number of parallel fleets.")
+@click.option("--seed", default=1, show_default=True, help="Seed of the moments.")
 @json_option
 def gate(stops: int, fleets: int, seed: int, json_file: Path | None) -> None:
-    """The owner of a guarded task is stopped for longer than its lease, at any moment, and goes on.
+    """Stop the owner of a guarded task for longer than its lease, at random moments, and let it continue.
 
-    Exit code 0 only where after each stop one command, one send and one checkpoint at most came late.
+    The exit code is 0 only if at most one command, one send and one checkpoint came late after each stop.
     """
     began_s = time.monotonic()
     with tempfile.TemporaryDirectory(prefix="pancakes-gate-") as directory:

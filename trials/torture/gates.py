@@ -1,7 +1,7 @@
-"""Gates that hold an agent at one step of what it does, from outside: it stands still in a write to a pipe.
+"""Hold an agent at one step of its work, from outside: it blocks in a write to a pipe.
 
-A named pipe lies where the agent is about to write. The pipe is shorter than what it writes, so the write does not end
-until somebody reads; nobody does, and the agent is killed there. It knows nothing of all this.
+A named pipe is put in place of the file that the agent is about to write. The pipe is too short for the data, so the
+write blocks; nobody reads, and the agent is killed there. The agent knows nothing of this.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ from pancakes.journal.journal import SUFFIX
 
 PIPE_BYTES = 4096
 BALLAST_BYTES = 2 * PIPE_BYTES
-"""Of a task's state, so that its snapshot is longer than the pipe."""
+"""The size of a task's state that makes its snapshot longer than the pipe."""
 
 
 class Gate:
-    """A named pipe in somebody's way.
+    """A named pipe in place of a file.
 
     Args:
-        path: where it lies; nothing may be there.
+        path: its path, which must not exist.
 
     Raises:
         FileExistsError: something is there, such as what the agent is writing just now.
@@ -36,26 +36,26 @@ class Gate:
     def __init__(self, path: Path) -> None:
         self.path = path
         os.mkfifo(path)
-        # Both ways: so nobody waits in `open`, neither we nor the agent.
+        # Open it for reading and writing, so that neither we nor the agent block in `open`.
         self._handle = os.open(path, os.O_RDWR | os.O_NONBLOCK | os.O_CLOEXEC)
         fcntl.fcntl(self._handle, fcntl.F_SETPIPE_SZ, PIPE_BYTES)
 
     def reached(self, timeout_s: float) -> bool:
-        """Waits until somebody stands there; returns whether somebody does."""
+        """Wait until a process blocks there; return whether one does."""
         poll = select.poll()
         poll.register(self._handle, select.POLLIN)
         return bool(poll.poll(timeout_s * 1000.0))
 
     def phase(self, task_id: TaskId) -> Phase | None:
-        """Returns the phase in the record of a task that somebody is writing; None where it is none of that task."""
+        """Return the phase in the record that is being written; None if it is not a record of that task."""
         written = os.read(self._handle, PIPE_BYTES)
         at = written.find(_text(RECORD) + _text(str(task_id)))
         head = written[at : at + 512] if at >= 0 else b""
-        # The record itself is torn, as it is to be; its second field is what it begins with.
+        # The record is incomplete, as intended, but it begins with the fields that are needed.
         return next((phase for phase in Phase if b"phase" + _text(phase.value) in head), None)
 
     def remove(self) -> None:
-        """Takes it out of the way; whoever stood there fails to write, if it still lives."""
+        """Remove the pipe; a process that blocks there fails to write, if it still lives."""
         self.path.unlink(missing_ok=True)
         os.close(self._handle)
 
@@ -65,7 +65,7 @@ def _text(value: str) -> bytes:
 
 
 class WriteGate(Gate):
-    """A gate in the way of a journal, in the place of the file that it appends to.
+    """A gate in place of the file that a journal appends to.
 
     Args:
         directory: the state directory.
@@ -74,13 +74,13 @@ class WriteGate(Gate):
     def __init__(self, directory: Path) -> None:
         super().__init__(directory / "gate")
         self._kept = directory / (WRITE_AHEAD + ".kept")
-        with suppress(FileNotFoundError):  # there may be nothing in it yet
+        with suppress(FileNotFoundError):  # the journal may be empty
             os.link(directory / WRITE_AHEAD, self._kept)
         self.path = self.path.rename(directory / WRITE_AHEAD)
 
     @property
     def lies(self) -> bool:
-        """Whether it is still where it was laid: a journal whose write has failed begins the file anew."""
+        """Whether the gate is still there: after a failed write, a journal creates its file again."""
         return file_number(self.path) == os.fstat(self._handle).st_ino
 
     def remove(self) -> None:
@@ -94,7 +94,7 @@ class WriteGate(Gate):
 
 
 class RecordWatch:
-    """Watches an agent's journal for the next record of a task.
+    """Watch an agent's journal for the next record of a task.
 
     Args:
         state: the directory of all states.
@@ -110,7 +110,7 @@ class RecordWatch:
         self._ahead_number, self._read = file_number(self._ahead), len(self._new(0))
 
     def written(self) -> bool:
-        """Returns whether one was written since."""
+        """Return whether a record was written since."""
         if file_number(self._file) != self._number:
             return True
         if (number := file_number(self._ahead)) != self._ahead_number:
@@ -126,7 +126,7 @@ class RecordWatch:
 
 
 def file_number(path: Path) -> int | None:
-    """Returns what tells a file from the one that takes its place; None: there is none."""
+    """Return the identity of a file, which differs for its replacement; None: the file does not exist."""
     try:
         return os.stat(path).st_ino
     except FileNotFoundError:
@@ -134,10 +134,10 @@ def file_number(path: Path) -> int | None:
 
 
 def journal_file(state: Path, agent: str, task_id: TaskId) -> Path:
-    """Returns where an agent keeps its record of a task, in the directory of all states."""
+    """Return the path of an agent's record of a task, in the directory of all states."""
     return state / agent / f"{RECORD}.{quote(str(task_id), safe='')}{SUFFIX}"
 
 
 def identity_file(state: Path, agent: str) -> Path:
-    """Returns the file that an agent replaces when it opens its journal; it is then ready for records."""
+    """Return the file that an agent replaces when it opens its journal; it is then ready for records."""
     return state / agent / f"identity.identity{SUFFIX}"

@@ -1,4 +1,4 @@
-"""Where two real agents stand, and what is between them: a TCP proxy, or the wire between two network namespaces."""
+"""Networks for two real agents: a TCP proxy between them, or two network namespaces with a wire."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from torture.live import LiveFleet, free_ports
 from torture.namespaces import Namespaces
 from torture.proxy import Proxy
 
-PORT = 7401  # in a namespace all are free
+PORT = 7401  # in a namespace, all ports are free
 
 
 class Cuttable(Protocol):
-    """What is between two agents.
+    """The link between two agents, which can be cut.
 
     Attributes:
         cut: set once the link has been cut.
@@ -25,11 +25,11 @@ class Cuttable(Protocol):
     cut: threading.Event
 
     def cut_at(self, word: str) -> None:
-        """Cuts the link when the next packet of this type is on its way; it does not arrive, and nothing after it."""
+        """Cut the link when the next packet of this type is on its way; neither it nor anything after it arrives."""
         ...
 
     def heal(self) -> None:
-        """Lets the two reach each other again."""
+        """Restore the link."""
         ...
 
 
@@ -38,14 +38,14 @@ class Ground:
     """Two agents' addresses.
 
     Attributes:
-        names: theirs; the first one dials the other.
+        names: the names of the agents; the first one dials the other.
         listen: where each listens.
-        dialled: where the first one finds the other.
-        link: what is between them; None: nothing is.
-        commands: what stands before the command of each.
+        dialled: the address at which the first one dials the other.
+        link: the link that can be cut; None: they are connected directly.
+        commands: the prefix of the command of each.
         tells_losses: whether what was on its way is lost for good when the link is cut, as by a reset of a
             connection; else TCP sends it again once the link heals, where nobody has given the connection up by then.
-        close: ends what is between them.
+        close: removes the network.
     """
 
     names: tuple[str, str]
@@ -57,33 +57,33 @@ class Ground:
     close: Callable[[], None]
 
     def fleet(self, directory: Path, rest: Mapping[str, str]) -> LiveFleet:
-        """Returns the two, not started yet; `rest` is what follows `[agent]` in the configuration of each."""
+        """Return the two agents, not started yet; `rest` is the part after `[agent]` of each configuration."""
         peers = {self.names[0]: [self.dialled], self.names[1]: []}
         return LiveFleet(directory, self.names, rest, self.listen, peers, self.commands)
 
 
 Survey = Callable[[tuple[str, str]], Ground]
-"""Makes the ground for two agents of these names."""
+"""Makes the network for two agents of these names."""
 
 
 def on_loopback(names: tuple[str, str]) -> Ground:
-    """Nothing is between them."""
+    """Connect them directly."""
     listen = _loopback(names)
     return Ground(names, listen, listen[names[1]], None, {}, True, lambda: None)
 
 
 def by_proxy(names: tuple[str, str]) -> Ground:
-    """A TCP proxy of our own is between them; any machine can do that."""
+    """Put a TCP proxy of our own between them; this works on any machine."""
     listen = _loopback(names)
     proxy = Proxy(listen[names[1]])
     return Ground(names, listen, proxy.address, proxy, {}, True, proxy.close)
 
 
 def in_namespaces(spaces: Namespaces, delay_s: float = 0.0, loss: float = 0.0) -> Survey:
-    """Each is in a network namespace of its own.
+    """Put each in a network namespace of its own.
 
     Args:
-        spaces: makes them, and removes them in the end.
+        spaces: makes the namespaces, and removes them at the end.
         delay_s: how much later each IP packet arrives, each way.
         loss: the share of them that is lost.
     """

@@ -1,8 +1,8 @@
-"""Real agents that guard a task, struck by all kinds of faults, half of the time while it moves or is taken over.
+"""Strike real agents that guard a task with all kinds of faults, half of them during a migration or take-over.
 
-The oracle is outside of the agents. The task counts in a file, its actuators write down each command, both with the
-epoch; of two lines the later one is under the epoch that is not lower. An agent that is never struck sends it counted
-packets, and none of those that it acknowledged may have its effect twice or never.
+The oracle is outside of the agents. The task counts in a file, and its actuators log each command, both with the
+epoch, which must not decrease from line to line. An agent that is never struck sends the task numbered packets, and
+each packet that the task acknowledged must have its effect exactly once.
 """
 
 from __future__ import annotations
@@ -34,13 +34,13 @@ TELLER: Final = "teller"
 """The agent that is never struck, and sends packets to the task."""
 LEASE_S: Final = 2.0
 GOES_ON_WITHIN_S: Final = 90.0
-"""So long after all is well the task may stand still: on a machine with much to do processes start slowly."""
+"""How long the task may stay paused after all faults are over; on a busy machine, processes start slowly."""
 STARTS_WITHIN_S: Final = 300.0
 """The same for the first start of all agents of all fleets at once."""
 MOST_STANDSTILLS: Final = 3
-"""After so many no more faults are made: it does not work."""
+"""After this many standstills of the task, no more faults are made."""
 REPLACED: Final = "import pancakes.durable.leases as leases\nleases.REPLACED_S = 12.0\n"
-"""A guardian whose disk was lost is replaced this soon, not after a minute: so more of them are lost and replaced."""
+"""How soon a guardian with a lost disk is replaced: sooner than the usual minute, so that more disks can be lost."""
 
 
 class Standstill(Exception):
@@ -51,12 +51,12 @@ class GuardedFleet:
     """One fleet of four agents with one task, guarded by three, and one that sends it packets.
 
     Args:
-        directory: all files.
-        seed: draws the faults; the machine draws the rest.
+        directory: the folder for all files.
+        seed: the seed of the faults; their timing depends on the machine.
         deck: deals out the kinds.
-        waits: all of its own.
+        waits: all waits of this fleet.
         spoilt_by: Python that breaks the agents, see `LiveFleet`.
-        calm: whether each fault comes alone, and none while the task moves.
+        calm: whether faults come one at a time, and never during a migration.
     """
 
     def __init__(
@@ -93,10 +93,10 @@ class GuardedFleet:
         self._away: Stroke | None = None
         self._last = "a"
         self._acts = 0
-        self._unread: list[Trace] = []  # commands that were judged, and are still to be looked at in their case
+        self._unread: list[Trace] = []  # judged commands that do not belong to a case yet
 
     def run(self, done: Callable[[TakeoverTally], None]) -> None:
-        """Strikes the fleet until no more faults are dealt out, or the task stands still.
+        """Strike the fleet until no more faults are dealt out, or the task stays paused.
 
         Args:
             done: is told what happened in each case: one fault, or two, the second while the first is dealt with.
@@ -110,7 +110,7 @@ class GuardedFleet:
                 self._fleet.start(name)
             try:
                 self._wait_for_acts("the start", tally, STARTS_WITHIN_S)
-                # Once its own disk is lost, this agent would give birth to the task again.
+                # After the loss of its own disk, this agent would create the task again.
                 self._fleet.configure("a", self._rest)
                 self._waits.until(self._comes_whole, GOES_ON_WITHIN_S)
                 done(tally)
@@ -131,10 +131,10 @@ class GuardedFleet:
     # Cases -----------------------------------------------------------------------------------------------------
 
     def _case(self) -> TakeoverTally | None:
-        """Makes one fault, or two; returns what happened; None: there are no more faults."""
+        """Make one fault, or two; return the tally of this case; None: no more faults are dealt out."""
         draw, tally = self._random, TakeoverTally()
         kind = self._deal()
-        if not kind and self._deck.left:  # no others are wanted
+        if not kind and self._deck.left:  # other kinds are excluded
             if self._away is not None:
                 self._come_back()
             self._waits.until(self._comes_whole, GOES_ON_WITHIN_S)
@@ -165,7 +165,7 @@ class GuardedFleet:
         strokes = [(time.monotonic(), self._strike(kind, hit))]
         if second:
             self._waits.let(draw.uniform(0.02, 1.2 * LEASE_S))
-            # Where the first one filled a disk, the second one has the task taken over.
+            # If the first fault filled a disk, the second one causes a take-over.
             target = owner if kind == "full disk" else self._target(second, self._last_now(tally), hit)
             tally.faults[second] += 1
             strokes.append((time.monotonic(), self._strike(second, target)))
@@ -183,7 +183,7 @@ class GuardedFleet:
         return tally
 
     def _deal(self) -> str:
-        """Returns the kind that comes next; empty: none that may come now."""
+        """Return the next kind of fault; empty: none may come now."""
         whole = self._away is None and self._is_whole()
         return self._deck.deal(() if whole else FOR_GOOD)
 
@@ -191,7 +191,7 @@ class GuardedFleet:
         return self._strokes.strike(kind, hit, [name for name in NAMES if name != hit])
 
     def _target(self, kind: str, owner: str, spared: str = "") -> str:
-        """Draws which agent is struck: mostly the one that has the task, but for a full disk another one."""
+        """Draw the agent to strike: mostly the owner of the task, but another one for a full disk."""
         up = [name for name in self._up() if name != spared]
         others = [name for name in up if name != owner]
         if kind == "full disk" or owner not in up or (not self._calm and self._random.random() < 0.3):
@@ -211,7 +211,7 @@ class GuardedFleet:
             self._waits.let(max(0.0, began_s + stroke.for_s - time.monotonic()))
             stroke.heal()
         if len(strokes) == 2 and self._away is not None:
-            self._come_back()  # with another one that lacks its disk, or that starts, it may be one too many
+            self._come_back()  # together with another lost disk or starting agent, this fault could be one too many
 
     def _come_back(self) -> None:
         assert self._away is not None
@@ -219,7 +219,7 @@ class GuardedFleet:
         away.heal()
 
     def _measure(self, kind: str, hit: str, struck_ns: int, commands: Sequence[Trace], tally: TakeoverTally) -> None:
-        """Notes when the first command came after the loss of the owner."""
+        """Record the time from the loss of the owner to the next command."""
         after = [trace for trace in commands if trace.at_ns > struck_ns]
         other = next((trace for trace in after if trace.epoch[1] != hit), None)
         if kind in KILLS and after and after[0].epoch[1] == hit:
@@ -241,12 +241,12 @@ class GuardedFleet:
         return commands
 
     def _last_now(self, tally: TakeoverTally) -> str:
-        """Returns the agent that has acted last."""
+        """Return the agent that acted last."""
         self._unread = self._read(tally)
         return self._last
 
     def _wait_for_acts(self, after: str, tally: TakeoverTally, within_s: float = GOES_ON_WITHIN_S) -> None:
-        """Waits until the task acts.
+        """Wait until the task acts.
 
         Raises:
             Standstill: it does not.
@@ -263,13 +263,13 @@ class GuardedFleet:
             raise Standstill(f"no agent acts after {after}; {self._said()}", tally)
 
     def _said(self) -> str:
-        """Returns what guardians know of the task, and the last that the agents have said."""
+        """Return what the guardians report of the task, and the last lines of the agents' logs."""
         known = [f"{row}" for row in self._guarding()]
         said = [f"{name}: {line}" for name, one in self._fleet.running.items() for line in one.so_far()[-6:]]
         return "\n".join([*known, *said])
 
     def _guarding(self) -> list[dict[str, Any]]:
-        """Returns what the agents that run tell of the task that they guard."""
+        """Return the reports of the running agents on the task that they guard."""
         rows: list[dict[str, Any]] = []
         names = (*self._up(), TELLER)
         with Client(Where(tuple(self._fleet.addresses[name] for name in names), "torture"), 2.0) as client:
@@ -285,7 +285,7 @@ class GuardedFleet:
         return self._is_whole()
 
     def _is_whole(self) -> bool:
-        """Returns whether the task has three guardians, all of which have a lease on it; so one may lose its disk."""
+        """Return whether the task has three guardians with a lease, so that one may lose its disk."""
         rows = self._guarding()
         owner = next((row for row in rows if "guardians" in row and row["lease"] and row["permit_s"]), None)
         if owner is None:
@@ -297,14 +297,14 @@ class GuardedFleet:
         with Client(Where(tuple(self._fleet.addresses[name] for name in NAMES), "torture"), 0.2) as client:
             try:
                 client.request(owner, Migrate("client/One"))
-            except PancakesError:  # the answer comes later than it is waited for, or it has just moved
+            except PancakesError:  # the answer is late, or the task has just migrated
                 pass
 
     def _note_start(self, name: str) -> None:
         self._started_s[name] = time.monotonic()
 
     def _end(self, tally: TakeoverTally) -> None:
-        """Waits until the task has heard all that was told it."""
+        """Wait until the task has handled all packets that were sent to it."""
         if self._away is not None:
             self._come_back()
         told = int(self._told.read_text() or 0)
@@ -319,18 +319,18 @@ class GuardedFleet:
 
 
 class Takeovers:
-    """Runs several fleets at once, and keeps what was done, so that a run that was ended can go on.
+    """Run several fleets at once, and save the tally, so that an interrupted run can continue.
 
     Args:
-        directory: what was done is kept in its file `done`; one that has it goes on.
-        seed: draws the faults.
+        directory: the folder with the file `done`, which has the tally; if it exists, the run continues from there.
+        seed: the seed of the faults.
         spoilt_by: Python that breaks the agents, see `LiveFleet`.
-        calm: whether each fault comes alone.
-        kinds: which faults.
-        told: is told of all that was done, after each case.
+        calm: whether faults come one at a time.
+        kinds: the kinds of faults.
+        told: called with the tally after each case.
 
     Attributes:
-        tally: all that was done.
+        tally: all cases so far.
     """
 
     def __init__(
@@ -353,12 +353,12 @@ class Takeovers:
             self._cases += 1
 
     def run(self, faults: int, fleets: int) -> TakeoverTally:
-        """Makes so many faults in all, those counted that were made before; returns all that was done.
+        """Make `faults` faults in all, including those of earlier runs; return the tally.
 
         Raises:
             PancakesError: a fleet could not be set up.
         """
-        # Not the same once more, where it goes on.
+        # A continued run must not repeat the faults of the earlier one.
         draw = random.Random(f"takeovers/{self._seed}/{self._cases}")
         deck = Deck(self._kinds, faults - self.tally.faults.total(), draw)
         with ThreadPoolExecutor(fleets) as pool:
@@ -370,7 +370,7 @@ class Takeovers:
 
     def _strike(self, seed: int, deck: Deck) -> None:
         draw = random.Random(seed)
-        # A fleet that stands still is given up: the next one may be better.
+        # A fleet whose task stays paused is given up; the next fleet continues.
         while deck.left and len(self.tally.standstills) < MOST_STANDSTILLS:
             with tempfile.TemporaryDirectory(prefix="pancakes-takeovers-") as name:
                 seed = draw.getrandbits(32)

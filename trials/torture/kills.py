@@ -1,4 +1,4 @@
-"""Real agents that are killed while their tasks move, at random moments and between the effects of the protocol.
+"""Kill real agents during migrations of their tasks, at random moments and between the effects of the protocol.
 
 An oracle outside of the agents says what became of the tasks: a file lock that whoever runs a task holds, a file in
 which it counts, and a stream of counted packets to it from an agent that is never killed.
@@ -37,22 +37,22 @@ BORN = {"One": "a", "Two": "b", "Three": "c"}
 DURABILITY = {"One": "lazy", "Two": "each", "Three": "lazy"}
 LAZY = [task for task, durability in DURABILITY.items() if durability == "lazy"]
 TOLD = ("One", "Two")
-"""The tasks that packets are sent to, one of each durability."""
+"""The tasks that get packets, one of each durability."""
 HEALS_WITHIN_S = 30.0
 REACHED_WITHIN_S = 12.0
-"""How long it is waited for an agent to come to a point; a source that takes its task back does so after 2 s."""
+"""How long to wait for an agent to reach a point, in seconds; a source takes its task back after 2 s."""
 BACK_WITHIN_S = 40.0
-"""The same for one that is started first: others try to reach it again every 10 s in the end."""
+"""The same for an agent that must be started first: at the longest, others dial it every 10 s."""
 TRIES = 5
-"""How often an agent that did not come to its point is waited for again."""
+"""How often to try again if an agent did not reach its point."""
 ROADS_SHARE = 0.4
-"""So many of the faults are of the roads, where these may fail."""
+"""The share of faults of the connections, if these can fail."""
 ROUND = 50
-"""After so many faults all agents are left alone until each task runs."""
+"""After this many faults, all agents are left alone until each task runs."""
 
 
 class _Mover(threading.Thread):
-    """Asks for one move of a task after the other, wherever it is, and whoever is dead just then."""
+    """Request one migration of a task after the other, wherever it runs, even while agents are dead."""
 
     def __init__(self, fleet: LiveFleet, task: str, count: Path, source: random.Random, calm: threading.Event) -> None:
         super().__init__(daemon=True)
@@ -73,28 +73,28 @@ class _Mover(threading.Thread):
                 host = last_host(self._count)
                 try:
                     self.asking.set()
-                    # Sometimes to whoever takes it for the lowest cost, which is the same one time after time.
+                    # Sometimes to the lowest bid, which is always the same agent.
                     to = self._random.choice(["", *(name for name in NAMES if name != host)])
                     self.asked += client.request(host, Migrate(f"client/{self._task}", to=to)).ok
-                except PancakesError:  # it is dead
+                except PancakesError:  # the agent is dead
                     pass
                 self.ended.wait(self._random.uniform(0.0, 0.2))
 
 
 def last_host(count: Path) -> str:
-    """Returns the agent on which a task has worked last, by its own file."""
+    """Return the agent on which a task ran last, by the task's own file."""
     with count.open("rb") as file:
         file.seek(max(0, count.stat().st_size - 200))
         return file.read().decode().splitlines()[-1].split()[2]
 
 
 class Kills:
-    """One fleet of three agents, each of which has given birth to a task, with a proxy between each two.
+    """One fleet of three agents, each with a task of its own, and a proxy between each two.
 
     Args:
         directory: all files.
-        seed: draws who is killed, and when; the machine draws the rest.
-        waits: all of its own; whoever breaks them off ends it.
+        seed: the seed of the kills; their effects depend on the machine.
+        waits: all waits of this fleet; breaking them off ends it.
         spoilt_by: Python that breaks the agents, see `LiveFleet`.
         make_roads: makes what leads from agent to agent.
     """
@@ -125,7 +125,7 @@ class Kills:
         )
         names = (*NAMES, TELLER)
         roads = self._roads = make_roads(names, directory, self._watch)
-        # An environment hosts no tasks, and is asked for none.
+        # An environment hosts no tasks, so it gets no bids.
         self.fleet = LiveFleet(
             directory,
             names,
@@ -144,7 +144,7 @@ class Kills:
     def run(
         self, random_kills: int, points: Sequence[Point] = (), told: Callable[[Tally], None] = lambda tally: None
     ) -> Tally:
-        """Kills agents, at random moments and at points, in a drawn order.
+        """Kill agents, at random moments and at points, in a drawn order.
 
         Args:
             random_kills: how many at random moments, faults of the roads among them.
@@ -187,7 +187,7 @@ class Kills:
                     else:
                         self._roads.strike(point, self.random, self._waits)
                         self.tally.roads[point] += 1
-                    # Who was killed comes back now or later, so that now and then two are dead, or all three.
+                    # A killed agent comes back now or later, so that sometimes two or all three are dead.
                     for dead in NAMES:
                         if dead not in self.fleet.running and self.random.random() < 0.7:
                             self.fleet.start(dead)
@@ -211,7 +211,7 @@ class Kills:
         return trap.watch(row) if trap is not None else Verdict.PASS
 
     def _kill_at(self, point: Point) -> None:
-        """Kills an agent at a point, and where that leads to another once it is back, there too."""
+        """Kill an agent at a point, and if that point has a second one after the restart, there, too."""
         victim = ""
         for _ in range(TRIES):
             task = self.random.choice(LAZY if point.lazy else ["Two"])
@@ -230,7 +230,7 @@ class Kills:
             self.tally.missed.append(f"no agent came to the point {point.then.name!r}")
 
     def _spring(self, point: Point, task: str, victim: str, start: bool = False) -> str:
-        """Kills the agent that comes to a point; returns its name, or nothing where none came to it.
+        """Kill the agent that reaches a point; return its name, or an empty string if none reached it.
 
         Args:
             point: where.
@@ -256,7 +256,7 @@ class Kills:
         return reached
 
     def _kill_one(self, mover: _Mover) -> None:
-        """Kills one agent: just after a move was asked for, so that it is in the middle of it, or at any moment."""
+        """Kill one agent: just after a migration was requested, so in the middle of it, or at any moment."""
         draw = self.random
         if draw.random() < 0.8:
             self._waits.let(draw.uniform(0.0, 0.5))
@@ -271,7 +271,7 @@ class Kills:
         self.tally.kills += 1
 
     def _rest(self) -> None:
-        """Lets nobody ask for moves: a task that never stays as long as a second never writes a checkpoint."""
+        """Request no migrations for a while: a task that stays less than a second never writes a checkpoint."""
         self._calm.set()
         for mover in self._movers:
             self._waits.until(mover.resting.wait, BACK_WITHIN_S)
@@ -282,7 +282,7 @@ class Kills:
                 self.fleet.start(name)
 
     def _heal(self) -> None:
-        """Starts all that are dead, and waits until each task runs and has heard all that was sent to it."""
+        """Start all dead agents, and wait until each task runs and has handled all packets sent to it."""
         self._start_all()
         began_s = time.monotonic()
         idle = self._until_works(list(BORN))
@@ -302,10 +302,10 @@ class Kills:
         self.tally.heals_s.append(time.monotonic() - began_s)
 
     def _until_works(self, tasks: list[str]) -> list[str]:
-        """Waits until tasks work; returns those that do not."""
+        """Wait until tasks run; return those that do not."""
         until_s = time.monotonic() + HEALS_WITHIN_S
         before = {task: self._size(task) for task in tasks}
-        # A task that has written something since has run; in the next round that is looked at again.
+        # A task that has written something since then runs; the next round checks again.
         while waiting := [task for task in tasks if self._size(task) <= before[task] + 200]:
             if time.monotonic() > until_s:
                 return waiting
@@ -313,12 +313,12 @@ class Kills:
         return []
 
     def _lost(self, tasks: list[str]) -> bool:
-        """Writes down which tasks do not run, if any, and returns whether there are any."""
+        """Record the tasks that do not run; return whether there are any."""
         self.tally.lost += [f"{task} did not run within {HEALS_WITHIN_S:g} s; {self._said()}" for task in tasks]
         return bool(tasks)
 
     def _said(self) -> str:
-        """Returns the last that the agents have said."""
+        """Return the last lines of the agents' logs."""
         return "\n".join(line for running in self.fleet.running.values() for line in running.so_far()[-5:])
 
     def _heard(self, task: str) -> int:
@@ -335,7 +335,7 @@ class Kills:
 
 
 def plan(kills: int, at: str) -> tuple[int, list[Point]]:
-    """Returns how many agents are to be killed at random moments, and at which points.
+    """Return how many agents to kill at random moments, and at which points.
 
     Args:
         kills: how many in all, or one more: some points make two.
@@ -359,15 +359,15 @@ def run_fleets(
     told: Callable[[Tally], None] = lambda tally: None,
     make_roads: MakeRoads = over_tcp,
 ) -> Tally:
-    """Kills agents of several fleets at once.
+    """Kill agents of several fleets at once.
 
     Args:
-        random_kills: how many at random moments, in all.
-        points: at which points besides.
-        seed: the first fleet's; the others have those that follow.
+        random_kills: how many to kill at random moments, in all.
+        points: the points at which to kill agents in addition.
+        seed: the seed of the first fleet; the others have the following ones.
         fleets: how many fleets.
-        told: is told what has happened so far after each round, in any thread.
-        make_roads: makes what leads from agent to agent in each fleet.
+        told: called with the tally after each round, in any thread.
+        make_roads: makes the connections of each fleet.
 
     Raises:
         PancakesError: a fleet could not be set up.
@@ -394,11 +394,11 @@ def run_fleets(
         try:
             return total(pool.map(run, range(fleets)))
         finally:
-            waits.break_off()  # where it was interrupted, the others need not go on
+            waits.break_off()  # after an interrupt, the other fleets end, too
 
 
 def _number(path: Path) -> int:
-    """Reads a number that is being written time and again."""
+    """Read a number from a file that is rewritten again and again."""
     while True:
         text = path.read_text() if path.exists() else "0"
         if text:

@@ -1,4 +1,4 @@
-"""What still gets past the gate: the owner of a guarded task is stopped for longer than its lease, and goes on.
+"""Measure late acts: the owner of a guarded task is stopped for longer than its lease, and then continues.
 
 All is judged from outside, by the clock that all processes of a machine share and that counts a suspend: a driver
 writes down each command that it obeys, a peer each packet that it gets, the owner each permit that it was given and
@@ -46,13 +46,13 @@ def book(name):
 @packet_type("late.note")
 @dataclass
 class Note:
-    """Which turn has sent it."""
+    """The number of the turn that sent a packet."""
 
     n: int
 
 
 class Flood(Task):
-    """Commands wheels and tells a peer, as often as it can."""
+    """Commands wheels and sends packets to a peer, as often as it can."""
 
     requires = ("motors",)
 
@@ -71,7 +71,7 @@ class Flood(Task):
 
 
 class Ear(Task):
-    """Writes down which packets come, in the thread that brings them."""
+    """Logs the packets that arrive, in the thread that delivers them."""
 
     def on_start(self):
         write = book("packets")
@@ -83,7 +83,7 @@ class Ear(Task):
 
 
 class Recorder(Actuator):
-    """Wheels that write down their commands, and are as slow as a serial line, so that commands wait for them."""
+    """Wheels that log their commands, and are as slow as a serial line, so that commands have to wait."""
 
     type = "motors"
 
@@ -109,7 +109,7 @@ if os.environ.get("PANCAKES_LATE_OWNER"):
     newest = [0]
 
     def noted_write(self, batch):
-        # A task that failed in the turn in which its permit ended is started again, which is no new checkpoint.
+        # A task that failed in the turn in which its permit ended is restarted, which is not a new checkpoint.
         numbers = [Record.decode(entry.data).no for entry in batch if entry.kind == "record"]
         if any(no != newest[0] for no in numbers):
             newest[0] = numbers[-1]
@@ -131,7 +131,7 @@ late.recorder = plugin_late:Recorder
 """
 
 Act = tuple[int, int]
-"""When, in nanoseconds, and of which turn."""
+"""A time in nanoseconds, and the number of a turn."""
 
 
 @dataclass
@@ -142,7 +142,7 @@ class LateTally:
         stops: how often the owner was stopped.
         commands: how many commands were obeyed late after each stop.
         packets: how many packets came late.
-        sends: of how many turns they were: those of one turn leave with one system call.
+        sends: the number of turns with late packets: the packets of one turn are sent with one system call.
         checkpoints: how many checkpoints were written late.
         acts: how many commands and packets there were, in all.
         without_s: for how long the owner had no permit after it went on, in seconds.
@@ -157,7 +157,7 @@ class LateTally:
     without_s: list[float] = field(default_factory=list)
 
     def add(self, other: LateTally) -> None:
-        """Adds what happened to another fleet."""
+        """Add what happened to another fleet."""
         self.stops += other.stops
         self.commands += other.commands
         self.packets += other.packets
@@ -172,7 +172,7 @@ class LateTally:
         return max((*self.commands, *self.sends, *self.checkpoints), default=0)
 
     def told(self) -> str:
-        """Returns it as a line."""
+        """Return the outcome as a line."""
         without = f"{max(self.without_s):.3f} s without a permit at most" if self.without_s else "never went on"
         return (
             f"{self.stops} stops longer than the lease, {self.acts} acts; late: {sum(self.commands)} commands,"
@@ -182,7 +182,7 @@ class LateTally:
 
 
 def late_between(acts: Sequence[Act], on_ns: int, permit_ns: int) -> Sequence[Act]:
-    """Returns the acts after a process went on and before it was given a permit; `acts` is in the order of time."""
+    """Return the acts after a process continued and before it had a permit; `acts` is in the order of time."""
     return acts[
         bisect_right(acts, on_ns, key=lambda act: act[0]) : bisect_left(acts, permit_ns, key=lambda act: act[0])
     ]
@@ -193,7 +193,7 @@ class LateActs:
 
     Args:
         directory: all files.
-        seed: draws the moments; the machine draws the rest.
+        seed: the seed of the moments; the rest depends on the machine.
         spoilt_by: Python that breaks the agents, see `LiveFleet`.
     """
 
@@ -211,13 +211,13 @@ class LateActs:
         self._fleet.rig.install("late", ENTRY_POINTS, SOURCE.replace("THE_DIRECTORY", str(directory)))
 
     def run(self, stops: int) -> LateTally:
-        """Stops the owner so often, and judges."""
+        """Stop the owner `stops` times, and judge."""
         fleet, spells = self._fleet, []
         try:
             for name in reversed(NAMES):
                 fleet.start(name)
             self._wait_for_permit(0)
-            time.sleep(3.0)  # its guardians are chosen
+            time.sleep(3.0)  # the time to choose guardians
             for _ in range(stops):
                 spells.append(self._stop())
                 time.sleep(self._random.uniform(0.3, 1.3))
@@ -226,7 +226,7 @@ class LateActs:
         return self._judge(spells)
 
     def _stop(self) -> Act:
-        """Stops the owner, lets it go on, and waits for its permit; returns when it went on and when it had that."""
+        """Stop the owner, let it continue, and wait for its permit; return the times of both."""
         process = self._fleet.running["a"].process
         process.send_signal(signal.SIGSTOP)
         time.sleep(self._random.uniform(1.05, 1.5) * LEASE_S)
@@ -265,7 +265,7 @@ class LateActs:
 
 
 def run_late_acts(directory: Path, stops: int, fleets: int, seed: int = 1, spoilt_by: str = "") -> LateTally:
-    """Runs several fleets at once, whose owner is stopped so often each; returns what happened to all of them."""
+    """Run several fleets at once, and stop the owner of each; return the outcome of all."""
     made = [LateActs(directory / str(number), seed + number, spoilt_by) for number in range(fleets)]
     total = LateTally()
     with ThreadPoolExecutor(fleets) as pool:

@@ -1,4 +1,4 @@
-"""Real agents in processes of their own, whose tasks hold a lock while they run: an oracle outside of all agents."""
+"""Real agents in processes, whose tasks hold a file lock while they run: an oracle outside of all agents."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ from pancakes.task import Task, every, on, reliable
 @packet_type("torture.count")
 @dataclass
 class Count:
-    """The packets of a stream, counted by whoever sends them."""
+    """A packet of a stream, numbered by its sender."""
 
     n: int
 
 
 class Holder(TaskCore, Task):
-    """Holds a lock while it runs and may act, and counts in a file that all agents share."""
+    """Holds a lock while it runs and may act, and counts its ticks in a file that all agents share."""
 
     __module__ = "pancakes"  # its names are Pancakes' own
 
@@ -82,7 +82,7 @@ class Holder(TaskCore, Task):
             self.say("doubled", f"{self.address} epoch {self.fence_n} runs beside another")
 
     def gate(self, kind):
-        """Stands still where a test has put a pipe in the way, until the test kills the agent or takes it away."""
+        """Block if a test has put a pipe in the way, until the test kills the agent or removes the pipe."""
         try:
             pipe = os.open(self.file(f"{kind}-{self.agent}"), os.O_WRONLY)
         except FileNotFoundError:
@@ -112,7 +112,7 @@ class Holder(TaskCore, Task):
 
 
 class Teller(Task):
-    """Sends a stream of counted packets to each of some tasks, wherever these are."""
+    """Sends a stream of numbered packets to each of some tasks, on any agent."""
 
     @dataclass
     class Settings:
@@ -128,14 +128,14 @@ class Teller(Task):
             try:
                 self.publish("system", Count(n + 1), to=f"task:{task}")
             except MailboxFull:
-                continue  # too many wait: not sent, so not counted
+                continue  # too many packets wait: this one is not sent, so not counted
             self.told[task] = n + 1
             with open(os.path.join(self.settings.directory, f"{task.split('/')[1]}.told"), "w") as out:
                 out.write(str(n + 1))
 
 
 class Sentry(Task):
-    """Counts in a file that all agents share, and drives; keeps the numbers of the packets that it hears."""
+    """Counts in a file that all agents share, and drives; logs the numbers of the packets that it gets."""
 
     requires = ("motors",)
 
@@ -174,7 +174,7 @@ class Sentry(Task):
 
 
 class Pilot(Task):
-    """Drives, a hundred times a second, and carries so much state."""
+    """Drives a hundred times a second, with a state of `state_bytes`."""
 
     requires = ("motors",)
 
@@ -198,7 +198,7 @@ class Pilot(Task):
 
 
 class Recorder(Actuator):
-    """Wheels that write down when they were commanded, on the clock that all processes of a machine share."""
+    """Wheels that log the times of their commands, on the clock that all processes of a machine share."""
 
     type = "motors"
 
@@ -220,7 +220,7 @@ class Recorder(Actuator):
 
 
 class Tracer(Recorder):
-    """Wheels that write down the commands of a `Sentry`: its count and its epoch, which agent, and when."""
+    """Wheels that log the commands of a `Sentry`: its count and its epoch, the agent, and the time."""
 
     def apply(self, command, ttl_s, source):
         count, epoch = int(command.omega_radps), int(command.v_mps)
@@ -243,11 +243,11 @@ torture.tracer = plugin_torture:Tracer
 
 
 LOWEST_PORT, LOWEST_LENT_PORT = 15_000, 32_000
-"""Between them the system lends no port to whoever dials, so one stays free while its agent is dead."""
+"""Ports that the system does not give to outgoing connections, so they stay free while their agent is dead."""
 
 
 def free_ports(count: int) -> list[int]:
-    """Returns ports of this machine that are free just now; they outlive a restart, which port 0 would not."""
+    """Return free ports of this machine. Unlike port 0, they stay the same over a restart."""
     found: list[int] = []
     for port in random.SystemRandom().sample(range(LOWEST_PORT, LOWEST_LENT_PORT), LOWEST_LENT_PORT - LOWEST_PORT):
         with socket.socket() as one, contextlib.suppress(OSError):
@@ -259,19 +259,19 @@ def free_ports(count: int) -> list[int]:
 
 
 class LiveFleet:
-    """Agents in processes, on this machine, that are killed and started again.
+    """Agents in processes of this machine that are killed and started again.
 
-    They have no keys: what is between them reads what they say.
+    They have no keys, so that a proxy between them can read their packets.
 
     Args:
-        directory: all of their files.
+        directory: the folder for all files.
         names: their names.
-        rest: what follows `[agent]` in the configuration of each, by name.
-        addresses: where each listens, by name; None: at free ports of this machine.
-        peers: where each dials the others, by name; not named: where they listen.
-        commands: what stands before the command of each, by name, such as what makes it run in a namespace.
-        roles: the role of each that is no usual agent, by name.
-        network: what the configuration of each says of the network, by name; not named: that it needs no keys.
+        rest: the part after `[agent]` of each configuration, by name.
+        addresses: the address of each, by name; None: free ports of this machine.
+        peers: the addresses at which each dials the others, by name; without an entry: their own.
+        commands: the prefix of the command of each, by name, for instance to run it in a namespace.
+        roles: the role of each agent whose role is not `agent`, by name.
+        network: the network settings of each, by name; without an entry: no keys.
         spoilt_by: Python that each agent runs at its start, such as what breaks it, to see whether that is noticed.
 
     Attributes:
@@ -314,12 +314,12 @@ class LiveFleet:
             self.configure(name, rest.get(name, ""))
 
     def configure(self, name: str, rest: str) -> None:
-        """Changes what follows `[agent]` in the configuration of an agent; it counts from its next start on."""
+        """Change the part after `[agent]` of a configuration; it is used from the agent's next start."""
         path = self._configs[name] = self.directory / f"{name}.toml"
         path.write_text(f"{self._heads[name]}{rest}\n{self._network.get(name, INSECURE)}")
 
     def start(self, name: str, wait: bool = False) -> None:
-        """Starts an agent, or starts it again with the state that it left. It ends with this thread."""
+        """Start an agent, or start it again with its former state. It ends with this thread."""
         command = [*self._commands.get(name, ()), sys.executable, "-m", "pancakes.tools.cli.agent_command"]
         command += ["--config", str(self._configs[name])]
         self.running[name] = Running(command, self.rig.environment, self.directory, ours=True)
@@ -327,18 +327,18 @@ class LiveFleet:
             self.running[name].hear(READY)
 
     def strike(self, name: str) -> None:
-        """Kills an agent with SIGKILL, without waiting for its end. Any thread; `kill` is to follow."""
+        """Kill an agent with SIGKILL, without waiting for its end. Any thread; call `kill` afterwards."""
         running = self.running.get(name)
         if running is not None:
             running.process.kill()
 
     def kill(self, name: str) -> None:
-        """Kills an agent with SIGKILL; returns once it is dead."""
+        """Kill an agent with SIGKILL; return once it is dead."""
         running = self.running.pop(name, None)
         if running is not None:
             running.close()
 
     def close(self) -> None:
-        """Ends all of them."""
+        """End all of them."""
         for name in list(self.running):
             self.kill(name)

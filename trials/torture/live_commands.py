@@ -23,13 +23,13 @@ from torture.tally import Tally
 
 @contextmanager
 def namespaces(wanted: bool | None, what: str) -> Iterator[tuple[Namespaces | None, list[str]]]:
-    """Gives network namespaces where they are wanted and this machine can make them, and says what is not run without.
+    """Yield network namespaces if they are wanted and this machine can make them; otherwise print what is not run.
 
-    They are removed at any end.
+    They are removed at the end, also after an error.
 
     Args:
         wanted: True: somebody asked for them, so that nothing else will do. None: where they can be had.
-        what: is not run without them.
+        what: what is not run without them.
     """
     spaces: Namespaces | None = None
     not_run: list[str] = []
@@ -50,31 +50,31 @@ netns_option = click.option(
     "--netns/--no-netns",
     "netns",
     default=None,
-    help="Only, or never, in network namespaces; without this both ways, where the machine can (root, iproute2).",
+    help="Only, or never, in network namespaces.  [default: both, if possible (root, iproute2)]",
 )
 
 
 @click.command()
-@click.option("--kills", "count", default=1000, show_default=True, type=click.IntRange(1), help="How many kills.")
+@click.option("--kills", "count", default=1000, show_default=True, type=click.IntRange(1), help="Number of kills.")
 @click.option(
     "--at",
     type=click.Choice(["random", "effects", "both"]),
     default="both",
     show_default=True,
-    help="At random moments, at the named points between the effects of the protocol, or half of them each.",
+    help="Kill at random moments, at the named points between the effects of the protocol, or half at each.",
 )
 @click.option("--first", default=1, show_default=True, type=click.IntRange(0), help="The first fleet's seed.")
-@click.option("--fleets", default=4, show_default=True, type=click.IntRange(1), help="How many fleets at once.")
+@click.option("--fleets", default=4, show_default=True, type=click.IntRange(1), help="Number of parallel fleets.")
 @click.option(
     "--over",
     type=click.Choice(list(ROADS)),
     default="tcp",
     show_default=True,
-    help="How the agents speak. Two Zenoh routers are killed, stopped and parted too, at random: one fleet at a time.",
+    help="Transport of the agents. With zenoh, two routers also fail at random, and one fleet runs at a time.",
 )
 @json_option
 def kills(count: int, at: str, first: int, fleets: int, over: str, json_file: Path | None) -> None:
-    """Real agents killed (SIGKILL) while their tasks move; whoever runs a task holds a file lock.
+    """Kill real agents (SIGKILL) during migrations; an agent that runs a task holds a file lock.
 
     Exit code 0 only where no task ever ran twice, none was lost, no packet to a task had its effect twice or never,
     and each point between effects was reached.
@@ -87,7 +87,7 @@ def kills(count: int, at: str, first: int, fleets: int, over: str, json_file: Pa
             flush=True,
         )
 
-    if over == "zenoh":  # what goes through routers cannot be read on its way; and a process knows one set of them
+    if over == "zenoh":  # packets through routers cannot be read; a process has only one set of routers
         at, fleets = "random", 1
     random_kills, points = plan(count, at)
     tally = run_fleets(random_kills, points, first, min(fleets, count), told, ROADS[over])
@@ -116,11 +116,11 @@ def kills(count: int, at: str, first: int, fleets: int, over: str, json_file: Pa
 
 
 @click.command()
-@click.option("--jobs", default=4, show_default=True, type=click.IntRange(1), help="How many at once.")
+@click.option("--jobs", default=4, show_default=True, type=click.IntRange(1), help="Number of parallel cuts.")
 @netns_option
 @json_option
 def cuts(jobs: int, netns: bool | None, json_file: Path | None) -> None:
-    """The link between two real agents cut at each step of a hand-over, and what became of the task.
+    """Cut the link between two real agents at each step of a hand-off, and check which agent runs the task.
 
     A TCP proxy makes the cut, which resets the connection; and a wire between network namespaces, on which all is
     silent from then on. Exit code 0 only where each ended as docs/protocol.md says.
@@ -149,19 +149,19 @@ def cuts(jobs: int, netns: bool | None, json_file: Path | None) -> None:
 
 
 WANTED_S: Final = 0.05
-"""The longest gap of 99 in 100 moves on loopback, with 64 KiB of state."""
+"""The longest allowed gap of 99 in 100 migrations on loopback, with 64 KiB of state."""
 SIZES: Final = (1024, 64 * 1024, 4 * 1024 * 1024)
-"""How much state the task carries, in bytes."""
+"""The sizes of the task's state, in bytes."""
 DELAY_S: Final = 0.02
 LOSS: Final = 0.05
 
 
 @click.command()
-@click.option("--moves", default=100, show_default=True, type=click.IntRange(1), help="How many moves of each kind.")
+@click.option("--moves", default=100, show_default=True, type=click.IntRange(1), help="Migrations of each kind.")
 @netns_option
 @json_option
 def gap(moves: int, netns: bool | None, json_file: Path | None) -> None:
-    """For how long an actuator hears nothing while the task that commands it at 100 Hz moves between real agents.
+    """Measure how long an actuator gets no command while its task (100 Hz) migrates between real agents.
 
     On loopback; and between network namespaces, where each IP packet takes 20 ms and 5 % of them are lost. Exit code 1
     where 99 in 100 moves with 64 KiB of state take longer than 50 ms on loopback, or a move there is refused.
@@ -185,7 +185,7 @@ def gap(moves: int, netns: bool | None, json_file: Path | None) -> None:
 
 
 def _told(where: str, found: Gaps, fault: str = "") -> dict[str, Any]:
-    """Prints what was measured, and returns it for a file."""
+    """Print the figures, and return them for a file."""
     row: dict[str, Any] = {"where": where, "state_bytes": found.state_bytes, "moves": len(found.gaps_s)}
     row["gaps_s"] = list(found.gaps_s)
     head = f"{where}, {found.state_bytes / 1024:g} KiB of state"

@@ -1,4 +1,4 @@
-"""The command of `scripts/torture` that loads agents: what else they do must not suffer."""
+"""The command of `scripts/torture` that loads agents: their other work must not suffer."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ CASES: Final = (
     Case("over TCP, on system", 64, 2000),
     Case("over TCP, on system", 64 * 1024, 200),
 )
-"""What is tried. A body of 1 MiB fits no frame: `publish` refuses it over TCP."""
+"""The cases. A body of 1 MiB does not fit into a frame: `publish` refuses it over TCP."""
 
 
 @click.command()
@@ -34,11 +34,11 @@ CASES: Final = (
 @click.option(
     "--only",
     type=click.Choice(["overload", "peers"]),
-    help="Only a publisher that is too fast, or a peer that is slow.",
+    help="Test only a fast publisher, or only a slow peer.",
 )
 @json_option
 def load(seconds: float, rounds: int, only: str | None, json_file: Path | None) -> None:
-    """A publisher ten times too fast, and a peer that is slow or stopped; what the rest has of it.
+    """Test a publisher that is ten times too fast, and a slow or stopped peer: what is the effect on everything else?
 
     Exit code 1 where an agent takes more than 64 MiB above its baseline, 1 in 100 replies or ticks is later than 50 ms,
     a packet is lost without being counted, comes out of order or twice, or the readers do not catch up by themselves;
@@ -88,6 +88,6 @@ def slow_peer_rows(rounds: int, seconds: float) -> list[dict[str, Any]]:
 
 
 def _spread_ms(times_s: list[float]) -> tuple[str, str, str]:
-    """Returns the median, the 99th percentile and the greatest of some times, for people."""
+    """Return the median, the 99th percentile and the maximum of some times, for people."""
     middle_s, most_s = sorted(times_s)[len(times_s) // 2], max(times_s)
     return f"{middle_s * 1e3:.1f} ms", f"{p99(times_s) * 1e3:.1f} ms", f"{most_s * 1e3:.1f} ms"

@@ -1,4 +1,4 @@
-"""Real agents in processes of their own, loaded by the tasks of `load_tasks`, and what is seen of them from outside."""
+"""Real agents in processes of their own, loaded by the tasks of `load_tasks`, and watched from outside."""
 
 from __future__ import annotations
 
@@ -26,18 +26,18 @@ Tasks = Mapping[str, Mapping[str, Any]]
 
 
 class LoadedFleet:
-    """Agents that listen at free ports of this machine, without keys: peers on raw sockets speak to them.
+    """Agents that listen at free ports of this machine, without keys, so that peers on raw sockets can connect.
 
     Args:
-        directory: all of their files.
+        directory: the folder for all files.
         tasks: their tasks, by the agent's name.
-        peers: whom each dials; not named: all others.
-        addresses: where each listens; None: at free ports.
+        peers: the agents that each dials; without an entry: all others.
+        addresses: the address of each; None: free ports.
 
     Attributes:
         running: their processes.
         addresses: where they listen.
-        client: a client of theirs, as a terminal is one.
+        client: a client of the fleet, like a terminal.
     """
 
     def __init__(
@@ -65,7 +65,7 @@ class LoadedFleet:
             for running in self.running.values():
                 running.hear(READY)
             self.client = Client(Where(tuple(self.addresses.values()), "load"), timeout_s=PATIENCE_S)
-        except BaseException:  # nobody has it yet who could close it
+        except BaseException:  # the caller has no object yet that it could close
             self.rig.close()
             raise
 
@@ -89,38 +89,38 @@ class LoadedFleet:
         self.close()
 
     def start(self, name: str) -> None:
-        """Starts an agent, which ends with this thread."""
+        """Start an agent, which ends with this thread."""
         self.running[name] = self.rig.agent(self._configs[name], ours=True)
 
     def file(self, agent: str, task: str) -> Path:
-        """Returns where a task tells what it sees."""
+        """Return the file of a task's reports."""
         return self.directory / f"{agent}.{task}.jsonl"
 
     def told(self, agent: str, task: str, since_s: float = 0.0) -> list[dict[str, Any]]:
-        """Returns what a task has told since a moment of the machine's clock."""
+        """Return the reports of a task since a moment of the machine's clock."""
         path = self.file(agent, task)
         text = path.read_text() if path.exists() else ""
         rows = [json.loads(line) for line in text.splitlines(keepends=True) if line.endswith("\n")]
         return [row for row in rows if row["at_s"] >= since_s]
 
     def last(self, agent: str, task: str) -> dict[str, Any]:
-        """Returns what a task told last."""
+        """Return the last report of a task."""
         return (self.told(agent, task) or [{}])[-1]
 
     def configure(self, agent: str, task: str, **settings: Any) -> None:
-        """Changes settings of a task that runs."""
+        """Change settings of a running task."""
         reply = self.client.request(agent, Configure(f"client/{task}", settings))
         assert reply.ok, reply.reason
 
     def memory_bytes(self, agent: str) -> int:
-        """Returns the resident memory of an agent."""
+        """Return the resident memory of an agent."""
         for line in Path(f"/proc/{self.running[agent].pid}/status").read_text().splitlines():
             if line.startswith("VmRSS:"):
                 return int(line.split()[1]) * 1024
         raise AssertionError(f"{agent} has no memory: it has ended")
 
     def wait(self, condition: Callable[[], Any], what: str, at_most_s: float = PATIENCE_S) -> float:
-        """Waits until something holds; returns the seconds that it took."""
+        """Wait until a condition holds; return how long it took, in seconds."""
         began_s = time.monotonic()
         while not condition():
             took_s = time.monotonic() - began_s
@@ -129,6 +129,6 @@ class LoadedFleet:
         return time.monotonic() - began_s
 
     def close(self) -> None:
-        """Ends all of them."""
+        """End all of them."""
         self.client.close()
         self.rig.close()

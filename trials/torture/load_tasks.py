@@ -1,4 +1,4 @@
-"""Tasks that load agents, and tasks that notice what the others have of it. Agents find them by entry point.
+"""Tasks that load agents, and tasks that measure the effect on others. Agents find them by entry point.
 
 Each tells what it sees in a file of its own, a line of JSON at a time, on the clock that all processes of a machine
 share. The file is the setting `file`.
@@ -23,7 +23,7 @@ REPORT_HZ = 10
 @packet_type("load.blob")
 @dataclass(frozen=True)
 class Blob:
-    """One of many; numbered together with the marks of the same source."""
+    """One of many packets, numbered together with the marks of the same source."""
 
     number: int
     data: bytes
@@ -40,7 +40,7 @@ class Mark:
 @packet_type("load.ping")
 @dataclass(frozen=True)
 class Ping:
-    """Asks for a `Pong`; made at this time."""
+    """A request for a `Pong`, with its time."""
 
     sent_s: float
 
@@ -48,13 +48,13 @@ class Ping:
 @packet_type("load.pong")
 @dataclass(frozen=True)
 class Pong:
-    """Answers a `Ping`."""
+    """The answer to a `Ping`."""
 
     sent_s: float
 
 
 class Telling(Task):
-    """Writes lines into its file."""
+    """Writes reports into its file."""
 
     @dataclass
     class Settings:
@@ -67,12 +67,12 @@ class Telling(Task):
         os.close(self.out)
 
     def tell(self, **figures: Any) -> None:
-        """Adds a line."""
+        """Add a line."""
         os.write(self.out, (json.dumps({"at_s": time.monotonic(), **figures}) + "\n").encode())
 
 
 class Flood(Telling):
-    """Publishes so many blobs a second, whatever becomes of them; one in eight packets is a mark."""
+    """Publishes a number of blobs per second, whether they are handled or not; one in eight packets is a mark."""
 
     @dataclass
     class Settings:
@@ -81,7 +81,7 @@ class Flood(Telling):
         channel: str = "load"
         size: int = 64
         per_s: float = 0.0
-        """So many packets each second; 0: none."""
+        """The rate of packets per second; 0: none."""
 
     def on_start(self) -> None:
         super().on_start()
@@ -90,7 +90,7 @@ class Flood(Telling):
 
     @every(hz=200)
     def pour(self, tick: Tick) -> None:
-        """Publishes what is due. What is refused is published again, under the same number, in the next tick."""
+        """Publish the packets that are due. A refused packet is published again with its number in the next tick."""
         settings = self.settings
         self.owed = min(self.owed + settings.per_s / 200 * (1 + tick.missed), max(1.0, settings.per_s / 50))
         while self.owed >= 1:
@@ -108,12 +108,12 @@ class Flood(Telling):
 
     @every(hz=REPORT_HZ)
     def report(self, tick: Tick) -> None:
-        """Tells how far it is."""
+        """Tell how far it is."""
         self.tell(published=self.number, refused=self.refused, too_large=self.too_large)
 
 
 class Reader(Telling):
-    """Handles blobs and marks, computing for so long over each, and looks whether they come in order."""
+    """Handles blobs and marks, computes for `work_s` on each, and checks their order."""
 
     @dataclass
     class Settings:
@@ -126,7 +126,7 @@ class Reader(Telling):
         self.handled = self.disordered = self.doubled = 0
 
     def take(self, packet: Packet) -> None:
-        """Handles one packet."""
+        """Handle one packet."""
         number, last = packet.body.number, self.last.get(packet.source, 0)
         self.doubled += number == last
         self.disordered += number < last
@@ -138,35 +138,35 @@ class Reader(Telling):
 
     @every(hz=REPORT_HZ)
     def report(self, tick: Tick) -> None:
-        """Tells how far it is."""
+        """Tell how far it is."""
         self.tell(handled=self.handled, disordered=self.disordered, doubled=self.doubled, last=sum(self.last.values()))
 
 
 class QueueReader(Reader):
-    """Keeps the newest 256 of each type."""
+    """A reader with queues of 256 for each type."""
 
     @on("load", Blob, keep=queue(256))
     def on_blob(self, packet: Packet) -> None:
-        """Takes a blob."""
+        """Take a blob."""
         self.take(packet)
 
     @on("load", Mark, keep=queue(256))
     def on_mark(self, packet: Packet) -> None:
-        """Takes a mark."""
+        """Take a mark."""
         self.take(packet)
 
 
 class ReliableReader(Reader):
-    """Loses none: where it has no room, the publisher is told so."""
+    """A reader with reliable queues: if there is no room, the publisher gets an error."""
 
     @on("load", Blob, keep=reliable(256))
     def on_blob(self, packet: Packet) -> None:
-        """Takes a blob."""
+        """Take a blob."""
         self.take(packet)
 
     @on("load", Mark, keep=reliable(256))
     def on_mark(self, packet: Packet) -> None:
-        """Takes a mark."""
+        """Take a mark."""
         self.take(packet)
 
 
@@ -175,17 +175,17 @@ class SystemReader(Reader):
 
     @on("system", Blob, keep=queue(256))
     def on_blob(self, packet: Packet) -> None:
-        """Takes a blob."""
+        """Take a blob."""
         self.take(packet)
 
     @on("system", Mark, keep=queue(256))
     def on_mark(self, packet: Packet) -> None:
-        """Takes a mark."""
+        """Take a mark."""
         self.take(packet)
 
 
 class Pulse(Telling):
-    """Ticks, and tells how late."""
+    """Ticks, and reports the lateness."""
 
     def on_start(self) -> None:
         super().on_start()
@@ -193,7 +193,7 @@ class Pulse(Telling):
 
     @every(hz=100)
     def beat(self, tick: Tick) -> None:
-        """Notes how late it is."""
+        """Record the lateness."""
         self.late_s.append(tick.lateness_s)
         if len(self.late_s) == 10:
             self.tell(late_s=self.late_s)
@@ -201,7 +201,7 @@ class Pulse(Telling):
 
 
 class Asker(Telling):
-    """Sends control packets to another agent, and tells how long each reply took."""
+    """Sends control packets to another agent, and reports how long each reply took."""
 
     @dataclass
     class Settings:
@@ -214,7 +214,7 @@ class Asker(Telling):
 
     @every(hz=20)
     def ask(self, tick: Tick) -> None:
-        """Asks how the other's pulse is."""
+        """Ask for a description of the other agent's `Pulse`."""
         try:
             packet = self.publish("sysctrl", Describe("client/Pulse"), to=self.settings.to)
         except MailboxFull:
@@ -224,14 +224,14 @@ class Asker(Telling):
 
     @on("sysctrl", Reply, addressed=True)
     def on_reply(self, packet: Packet) -> None:
-        """Takes the answer."""
+        """Take the answer."""
         asked_s = self.asked.pop(packet.cause[1], None) if packet.cause is not None else None
         if asked_s is not None:
             self.tell(asked_s=asked_s, took_s=time.monotonic() - asked_s)
 
 
 class Pinger(Telling):
-    """Sends pings to a task on another agent, and tells how long each round trip took."""
+    """Sends pings to a task on another agent, and reports how long each round trip took."""
 
     @dataclass
     class Settings:
@@ -240,7 +240,7 @@ class Pinger(Telling):
 
     @every(hz=200)
     def ping(self, tick: Tick) -> None:
-        """Sends one."""
+        """Send a ping."""
         try:
             self.publish("load", Ping(time.monotonic()), to=self.settings.to)
         except MailboxFull:
@@ -248,7 +248,7 @@ class Pinger(Telling):
 
     @on("load", Pong, addressed=True)
     def on_pong(self, packet: Packet) -> None:
-        """Takes the answer."""
+        """Take the answer."""
         self.tell(took_s=time.monotonic() - packet.body.sent_s)
 
 
@@ -257,5 +257,5 @@ class Ponger(Task):
 
     @on("load", Ping)
     def on_ping(self, packet: Packet) -> None:
-        """Sends it back."""
+        """Answer a ping."""
         self.publish("load", Pong(packet.body.sent_s), to=packet.source)

@@ -1,4 +1,4 @@
-"""Whole missions in virtual time, a seed each: what the command runs, many at once, and what it tells of them."""
+"""Run whole missions in virtual time, one per seed and many at once, and summarize them."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ from pancakes.util.plugins import Plugins
 
 BATTERY = "task.World.settings.robots.agent1.battery.capacity_j"
 LEAST_SHARE, MOST_SHARE = 0.90, 1.12
-"""Of agent 1's battery: with these the hand-over falls anywhere in a whole turn round the circle."""
+"""Levels of agent 1's battery with which the migration falls anywhere on the circle."""
 
 
 class Job(NamedTuple):
-    """One mission: the demo, the seed, where its files go, and what is to make it hard.
+    """One mission: the demo, the seed, the folder, and its difficulties.
 
     Attributes:
         faults: whether the network has latency, jitter and links that break.
-        batteries: whether the seed draws agent 1's battery, and with it where on the circle it hands over.
+        batteries: whether the seed draws agent 1's battery, and so the place of the migration on the circle.
     """
 
     demo: str
@@ -37,7 +37,7 @@ class Job(NamedTuple):
 
 
 class Outcome(NamedTuple):
-    """How it went: its summary, and how long it took on this machine."""
+    """The result of a mission: its summary, and how long it took on this machine."""
 
     job: Job
     summary: dict[str, Any]
@@ -45,7 +45,7 @@ class Outcome(NamedTuple):
 
 
 def fly(job: Job) -> Outcome:
-    """Runs one mission in virtual time, and judges it. One that breaks down fails, with the error as its reason."""
+    """Run one mission in virtual time, and judge it. A mission that raises fails, with the error as its reason."""
     began_s = time.monotonic()
     try:
         demo = Plugins().get("pancakes.demos", job.demo)
@@ -56,13 +56,13 @@ def fly(job: Job) -> Outcome:
         mission = Mission(demo.agents, demo.duration_s)
         timing = run_virtual(plan, mission, threading.Event(), NetworkFaults(job.seed) if job.faults else None)
         summary = judge(plan, run_of(plan, mission), timing)
-    except Exception as error:  # one that breaks down is what is looked for here, and the others are to run on
+    except Exception as error:  # an error is a finding, and the other missions must run
         summary = {"verdict": "FAIL", "reasons": [f"{type(error).__name__}: {error}"]}
     return Outcome(job, summary, time.monotonic() - began_s)
 
 
 def _battery(folder: Path, seed: int) -> str:
-    """Draws agent 1's battery; returns it as a change of the world's configuration."""
+    """Draw the level of agent 1's battery; return it as a change of the world's configuration."""
     found: Any = tomllib.loads((folder / "world.toml").read_text(encoding="utf-8"))
     for key in BATTERY.split("."):
         found = found[key]
@@ -71,7 +71,7 @@ def _battery(folder: Path, seed: int) -> str:
 
 
 def fly_all(demo: str, seeds: Sequence[int], faults: bool, batteries: bool, jobs: int) -> Iterator[Outcome]:
-    """Runs a mission for each seed, several at once, and yields how they went as they end."""
+    """Run a mission for each seed, several at once, and yield their results as they end."""
     with tempfile.TemporaryDirectory(prefix="pancakes-torture-") as folder:
         todo = [Job(demo, seed, Path(folder) / str(seed), faults, batteries) for seed in seeds]
         with multiprocessing.get_context("spawn").Pool(jobs) as pool:
@@ -85,11 +85,11 @@ FIGURES = (
     ("home error", "m", "home_error_m"),
     ("wall time of a mission", "s", "wall_s"),
 )
-"""What is told of all missions together: its name, its unit and its key in `figures_of`."""
+"""The figures of all missions: the name, the unit and the key in `figures_of`."""
 
 
 def figures_of(outcome: Outcome) -> dict[str, float]:
-    """Returns the figures of one mission: those that its demo has, the worst of several robots."""
+    """Return the figures of one mission that its demo has; of several robots, the worst."""
     summary = outcome.summary
     found = {
         "wall_s": outcome.wall_s,

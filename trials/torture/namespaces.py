@@ -1,4 +1,4 @@
-"""Network namespaces for agents: each has a network of its own, and nothing in them reaches the machine's.
+"""Network namespaces for agents: each has a network of its own, separate from the machine's network.
 
 They are made with `ip netns`, and joined by a wire of our own (`wire.py`), so the kernel need not know `netem`, which
 many do not. Their names hold the number and the birth of the process that made them: what a killed run has left behind
@@ -31,14 +31,14 @@ _CLONE_NEWNET = 0x40000000
 
 
 class NoNamespaces(Exception):
-    """This machine cannot make network namespaces; the sentence says why, and what would help."""
+    """This machine cannot make network namespaces; the sentence says why, and what to do."""
 
 
 class Place(NamedTuple):
     """A network namespace.
 
     Attributes:
-        name: its own, as `ip netns` lists it.
+        name: its name in `ip netns`.
         host: its address on the wire.
     """
 
@@ -47,12 +47,12 @@ class Place(NamedTuple):
 
     @property
     def command(self) -> tuple[str, ...]:
-        """What stands before a command that is to run in it."""
+        """The prefix of a command that runs in the namespace."""
         return ("ip", "netns", "exec", self.name)
 
 
 def check() -> None:
-    """Looks whether this machine can make namespaces, by making one.
+    """Check whether this machine can make namespaces, by making one.
 
     Raises:
         NoNamespaces: it cannot.
@@ -72,9 +72,9 @@ def check() -> None:
 
 
 class Namespaces:
-    """Some namespaces on one wire, the first of which the thread that made them goes into until it closes them.
+    """Namespaces on one wire. The thread that makes them is in the first one until it closes them.
 
-    Threads and sockets that it makes meanwhile are in there too, so it reaches the agents in the others.
+    Threads and sockets that it makes meanwhile are in there, too, so it can reach the agents in the others.
 
     Attributes:
         places: all of them.
@@ -106,7 +106,7 @@ class Namespaces:
         self.close()
 
     def add(self) -> Place:
-        """Makes a namespace. Any thread."""
+        """Make a namespace. Any thread."""
         with self._lock:
             number = len(self.places) + 1
             place = Place(f"{self._stem}-{number}", f"{NET}.{number >> 8}.{number & 255}")
@@ -119,11 +119,11 @@ class Namespaces:
         return place
 
     def link(self, one: Place, other: Place) -> Link:
-        """Returns the stretch of the wire between two of them, which can be slow, lossy and cut."""
+        """Return the part of the wire between two namespaces, which can be slow, lossy and cut."""
         return self.wire.link(one.host, other.host)
 
     def close(self) -> None:
-        """Removes all of them, with what still runs in them, and goes back to where the thread was."""
+        """Remove all namespaces, end the processes in them, and move the thread back."""
         if self._home >= 0:
             _enter(self._home)
             os.close(self._home)
@@ -135,7 +135,7 @@ class Namespaces:
 
 
 def remove_leftovers() -> list[str]:
-    """Removes the namespaces of runs that are dead, with the agents in them, and returns their names."""
+    """Remove the namespaces of dead runs, with the agents in them, and return their names."""
     gone = []
     for path in sorted(NAMED.glob(f"{PREFIX}-*")):
         pid, born = path.name.removeprefix(f"{PREFIX}-").split("-")[:2]
@@ -146,7 +146,7 @@ def remove_leftovers() -> list[str]:
 
 
 def _born(pid: int) -> int:
-    """When a process was born, in ticks since the boot; 0 where there is none. A pid is given out again, not both."""
+    """Return the start time of a process in ticks since the boot; 0: it does not exist. With the pid, it is unique."""
     try:
         return int(Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[19])
     except OSError:
@@ -154,7 +154,7 @@ def _born(pid: int) -> int:
 
 
 def _remove(name: str) -> None:
-    """Ends what runs in a namespace that we made, and removes it. A second time does nothing."""
+    """End all processes in a namespace that we made, and remove it. A second call does nothing."""
     found = subprocess.run(("ip", "netns", "pids", name), capture_output=True, text=True)
     for pid in found.stdout.split():
         if int(pid) != os.getpid():
@@ -172,10 +172,10 @@ def _ip(*arguments: str) -> None:
 
 
 def _tun_in(name: str) -> int:
-    """Makes the device in a namespace by which it hangs on the wire; closing what is returned removes it."""
+    """Make the device that connects a namespace to the wire; closing the result removes it."""
     made: list[int | OSError] = []
 
-    def make() -> None:  # in a thread of its own, which can go in there and end
+    def make() -> None:  # in a thread of its own, which enters the namespace and ends
         try:
             _enter_named(name)
             tun = os.open(TUN, os.O_RDWR | os.O_NONBLOCK | os.O_CLOEXEC)
@@ -201,7 +201,7 @@ def _enter_named(name: str) -> None:
 
 
 def _enter(handle: int) -> None:
-    """Moves this thread to another namespace (`os.setns`, which Python has from 3.12 on)."""
+    """Move this thread to another namespace (`os.setns`, which Python has from 3.12 on)."""
     if ctypes.CDLL(None, use_errno=True).setns(handle, _CLONE_NEWNET):
         number = ctypes.get_errno()
         raise OSError(number, os.strerror(number))

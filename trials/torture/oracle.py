@@ -1,4 +1,4 @@
-"""What must be true of tasks that move, looked at from outside of all agents, after each turn of each actor."""
+"""Check the promises about migrating tasks from outside of all agents, after each turn of each actor."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from pancakes.packet import SYSTEM, Packet, packet_type, task_address
 from pancakes.task import Task, every, on
 
 PARTNERS = {"One": "b/Two", "Two": "a/Three", "Three": "c/Four", "Four": "a/One"}
-"""To whom each task writes."""
+"""The task that each task writes to."""
 
 
 class Violation(AssertionError):
-    """Something happened that never may."""
+    """Something happened that must never happen."""
 
 
 @packet_type("test.note")
 @dataclass(frozen=True)
 class Note:
-    """What a copy of a task writes to another task.
+    """A letter of a copy of a task to another task.
 
     Attributes:
-        copy: which copy writes: its address, and its number among all that were started.
+        copy: the copy that writes: its address, and its number among all that were started.
         n: the number of this note, from 1.
     """
 
@@ -36,26 +36,26 @@ class Note:
 
 
 class Oracle:
-    """Counts the copies of each task that run, and remembers what was written down of it.
+    """Counts the running copies of each task, and remembers what is on disk.
 
     A copy that was stopped, that stands still for a hand-over or whose agent was killed does not run.
 
     Args:
         now: the virtual time.
         talk: whether the tasks write to each other.
-        each: the tasks that acknowledge nothing before it is on disk.
+        each: the tasks that acknowledge only what is on disk.
 
     Attributes:
-        notes: how many of what the tasks wrote has had its effect.
+        notes: how many letters have had their effect.
         starts: how many copies were ever started.
-        moves: how many of these were the first under a new epoch, elsewhere than at the task's birth.
+        moves: how many of these were the first with a new epoch, on another agent than the birthplace.
         durable: the highest count of each task that was ever on a disk, by the task's name.
     """
 
     def __init__(self, now: Callable[[], float], talk: bool = False, each: Sequence[str] = ()) -> None:
         self._now = now
         self._each = each
-        self._wrong = ""  # said at the next look: what a task raises ends no more than the task
+        self._wrong = ""  # raised at the next check, because an error in a task would end only the task
         self.talk = talk
         self.notes = 0
         self._copies: dict[str, list[Task]] = {}
@@ -65,7 +65,7 @@ class Oracle:
         self.durable: dict[str, int] = {}
 
     def started(self, task: Task) -> None:
-        """A copy starts (in its own first turn): under no lower epoch and with no older state than any before."""
+        """Check the start of a copy, in its first turn: neither its epoch nor its state is older than any before."""
         name = task.name
         self.starts += 1
         self._copies.setdefault(name, []).append(task)
@@ -82,12 +82,12 @@ class Oracle:
             )
 
     def ticked(self, task: Task) -> None:
-        """A copy works: it must be one that may."""
+        """Check that a copy that works may do so."""
         if task not in self.running(task.name):
             raise Violation(f"{task.address} works although it does not run, at {self._now():.4f} s")
 
     def heard(self, task: Task, note: Note, last: int) -> None:
-        """A note takes effect on a task that has `last` of its copy: once, in order; all, where promised."""
+        """Check a letter to a task that has `last` of its copy: once and in order; all letters, if promised."""
         self.notes += 1
         lost = note.n > last + 1 and task.name in self._each
         if note.n <= last or lost:
@@ -95,21 +95,21 @@ class Oracle:
             self._wrong = f"{task.address} gets note {note.n} of {note.copy} after {last}: it {what}"
 
     def written(self, record: Record) -> None:
-        """A record is on a disk for good."""
+        """Note that a record is on a disk."""
         if record.snapshot:
             n = Snapshot.decode(record.snapshot).state.get("n", 0)  # none before its first checkpoint
             name = record.task_id.name
             self.durable[name] = max(n, self.durable.get(name, 0))
 
     def running(self, name: str) -> list[Task]:
-        """Returns the copies of a task that run."""
+        """Return the running copies of a task."""
         alive = [copy for copy in self._copies.get(name, ()) if not copy.actor_stopped.is_set()]
         self._copies[name] = alive
-        # One that naps is a copy, too: its own call may wake it.
+        # A napping copy counts, too: its own timer may wake it.
         return [copy for copy in alive if copy.actor_inbox.component is core_of(copy) and not core_of(copy).is_frozen]
 
     def check(self) -> None:
-        """Looks whether any task runs twice, or has heard what it must not."""
+        """Raise if any task runs twice, or an earlier check has failed."""
         if self._wrong:
             raise Violation(f"{self._wrong}, at {self._now():.4f} s")
         for name, copies in self._copies.items():
@@ -119,7 +119,7 @@ class Oracle:
 
 
 class Roamer(Task):
-    """Counts its ticks, naps after some, writes notes to another task, and tells an oracle what it does.
+    """Counts its ticks, naps after some, writes letters to another task, and reports its work to an oracle.
 
     Attributes:
         oracle: the one of the fleet that runs just now: there is one at a time. A class made for each would stay for
@@ -163,7 +163,7 @@ class Roamer(Task):
         try:
             self.publish(SYSTEM, Note(self.copy, self.written + 1), to=task_address(PARTNERS[self.name]))
         except MailboxFull:
-            return  # its partner was away for long
+            return  # its partner has been away for long
         self.written += 1
 
     def wake(self) -> None:

@@ -1,4 +1,4 @@
-"""A publisher ten times too fast: what it costs in memory, what control and ticks have of it, and whether it passes."""
+"""Measure a publisher that is ten times too fast: memory, effect on control and ticks, and recovery."""
 
 from __future__ import annotations
 
@@ -15,26 +15,26 @@ from pancakes.client import Client, Where
 from pancakes.control import Describe
 
 TIMES: Final = 10
-"""So many times too fast is the publisher."""
+"""The factor by which the publisher is too fast."""
 MEMORY_BYTES: Final = 64 * 1024 * 1024
-"""So much memory may an agent take above its baseline."""
+"""How much memory an agent may use above its baseline."""
 LATE_S: Final = 0.05
-"""So late may a tick be, or the reply to a control packet, in 99 of 100 cases; the last depends on the machine."""
+"""How late 99 of 100 ticks, or replies to control packets, may be; the latest one depends on the machine."""
 BEHIND_S: Final = 5.0
-"""After so long at half of the bearable rate a reader has caught up: 512 packets may wait for it, and the link's."""
+"""How long a reader may take to catch up at half of the bearable rate: 512 packets may wait, and the link's."""
 JUST_COME: Final = 300
-"""Where fewer lie between publisher and reader, none of them has waited since the overload."""
+"""If fewer packets are between publisher and reader, none of them has waited since the overload."""
 LAST_PER_S: Final = 40
-"""So many packets a second come at the end."""
+"""The rate of packets at the end, per second."""
 
 
 class Case(NamedTuple):
-    """What is tried.
+    """One case.
 
     Attributes:
         where: `inside` one agent, `over TCP` from agent to agent, on a channel of the user's; or `over TCP, on system`.
-        size: bytes of a body.
-        bearable_per_s: so many packets a second the reader can handle, by the work that it does on each.
+        size: the size of a body, in bytes.
+        bearable_per_s: how many packets per second the reader can handle, given its work on each.
         keep: `queue`, or `reliable`.
     """
 
@@ -45,7 +45,7 @@ class Case(NamedTuple):
 
     @property
     def name(self) -> str:
-        """What it is, for people."""
+        """The name of the case, for people."""
         size = f"{self.size} B" if self.size < 1024 else f"{self.size // 1024} KiB"
         return f"{self.where}, {size}, {self.keep}"
 
@@ -58,15 +58,15 @@ class Case(NamedTuple):
 
 
 class Seen(NamedTuple):
-    """What was seen.
+    """The figures of one case.
 
     Attributes:
-        memory_bytes: the most that any agent took above its baseline.
+        memory_bytes: the most memory that any agent used above its baseline.
         control_s: how long replies took: to the client from each agent, and from agent to agent across the link.
         late_s: how late ticks were, of a task at 100 Hz on each agent.
         published, handled: packets.
-        dropped: packets that fell out at the subscription, and for (peer, channel), by where an operator reads them.
-        refused: how often the publisher was told to wait.
+        dropped: packets dropped at the subscription and per (peer, channel), by where an operator reads them.
+        refused: how often `publish` was refused.
         disordered, doubled: packets that came before one, or as one, that had come.
         behind_s: how long it took to catch up once the publisher had slowed down.
     """
@@ -83,7 +83,7 @@ class Seen(NamedTuple):
     behind_s: float
 
     def faults(self) -> list[str]:
-        """Returns a sentence for each thing that is not as it must be."""
+        """Return a sentence for each fault."""
         found: list[str] = []
         if self.memory_bytes > MEMORY_BYTES:
             found.append(f"took {self.memory_bytes / 2**20:.0f} MiB above the baseline")
@@ -105,17 +105,17 @@ class Seen(NamedTuple):
 
 
 def p99(values: Sequence[float]) -> float:
-    """Returns the 99th percentile."""
+    """Return the 99th percentile."""
     return sorted(values)[int(len(values) * 0.99)]
 
 
 def overload(directory: Path, case: Case, for_s: float, calm: float = 0.5) -> Seen:
-    """Runs one case with agents of its own.
+    """Run one case with agents of its own.
 
     Args:
-        directory: all of their files.
+        directory: the folder for all files.
         case: the case.
-        for_s: so many seconds at least the publisher is too fast.
+        for_s: the least time that the publisher is too fast, in seconds.
         calm: the share of the bearable rate at which it publishes afterwards, while the reader catches up.
     """
     inside = case.where == "inside"
@@ -130,7 +130,7 @@ def overload(directory: Path, case: Case, for_s: float, calm: float = 0.5) -> Se
     with LoadedFleet(directory, tasks) as fleet:
         if not inside:
             fleet.wait(lambda: fleet.told("a", "Asker"), "the link")
-        # Everything is warm, and has been taken, before the baseline is.
+        # The agents are warm, and have handled everything, before the baseline is measured.
         fleet.configure("a", "Flood", per_s=case.bearable_per_s / 2)
         fleet.wait(
             lambda: fleet.last(reading, case.reader).get("handled", 0) > case.bearable_per_s / 2, "first packets"
@@ -140,13 +140,13 @@ def overload(directory: Path, case: Case, for_s: float, calm: float = 0.5) -> Se
             began_s = time.monotonic()
             fleet.configure("a", "Flood", per_s=case.bearable_per_s * TIMES)
             fleet.client.wait(lambda: False, for_s)
-            # On a machine with other work the publisher is slow as well: it goes on until it was too fast.
+            # On a busy machine the publisher is slow as well, so it continues until it was too fast.
             while not _shows(fleet, reading, case) and time.monotonic() < began_s + for_s + PATIENCE_S:
                 fleet.client.wait(lambda: False, 0.1)
             ended_s = time.monotonic()
         fleet.configure("a", "Flood", per_s=case.bearable_per_s * calm)
         behind_s = fleet.wait(lambda: _behind(fleet, reading, case.reader) < JUST_COME, "catching up")
-        # The last ones come one by one: who has to wait for a core may have no room yet for more.
+        # The last packets are sent one by one: a reader that waits for a core may have no room for more.
         fleet.configure("a", "Flood", per_s=LAST_PER_S)
         fleet.wait(lambda: _behind(fleet, reading, case.reader) < LAST_PER_S / 2, "only a few to wait")
         fleet.configure("a", "Flood", per_s=0.0)
@@ -178,7 +178,7 @@ def overload(directory: Path, case: Case, for_s: float, calm: float = 0.5) -> Se
 
 @contextmanager
 def watching(fleet: LoadedFleet, agents: list[str]) -> Iterator[tuple[list[float], dict[str, list[int]]]]:
-    """Asks the agents for something, as a second client, and looks at their memory, until the end of the block.
+    """Ask the agents for something, as a second client, and look at their memory, until the end of the block.
 
     Yields:
         How long the replies took, in seconds; the memory of each agent, in bytes. Complete after the block.
@@ -190,7 +190,7 @@ def watching(fleet: LoadedFleet, agents: list[str]) -> Iterator[tuple[list[float
     def watch() -> None:
         with Client(Where(tuple(fleet.addresses.values()), "load")) as client:
             for name in agents:
-                client.request(name, Describe("client/Pulse"))  # finds the way
+                client.request(name, Describe("client/Pulse"))  # opens the connection
             while not over.wait(0.02):
                 for name in agents:
                     began_s = time.monotonic()
@@ -208,14 +208,14 @@ def watching(fleet: LoadedFleet, agents: list[str]) -> Iterator[tuple[list[float
 
 
 def _shows(fleet: LoadedFleet, reading: str, case: Case) -> bool:
-    """Returns whether the overload has had its effect: the publisher was told to wait, or packets fell out."""
+    """Return whether the overload has had an effect: `publish` was refused, or packets were dropped."""
     if case.where == "inside" and case.keep == "reliable":
         return bool(fleet.last("a", "Flood")["refused"])
     return bool(_dropped(fleet, reading, case.reader))
 
 
 def _dropped(fleet: LoadedFleet, reading: str, reader: str) -> dict[str, int]:
-    """What an operator is told: `pancakes task info` for the subscriptions, `pancakes agent info` for the links."""
+    """Return the drops that an operator sees in `pancakes task info` and (of links) `pancakes agent info`."""
     reads = fleet.client.request(reading, Describe(f"client/{reader}")).result["reads"]
     dropped = {f"{reader} on {row['channel']}": row["dropped"] for row in reads if row["dropped"]}
     for peer in fleet.client.request("a", Describe()).result["mesh"]["peers"]:
@@ -225,7 +225,7 @@ def _dropped(fleet: LoadedFleet, reading: str, reader: str) -> dict[str, int]:
 
 
 def _behind(fleet: LoadedFleet, reading: str, reader: str) -> int:
-    """Returns how many packets lie between the newest that was published and the newest that was read."""
+    """Return how many packets are between the newest published one and the newest handled one."""
     published: int = fleet.last("a", "Flood")["published"]
     last: int = fleet.last(reading, reader)["last"]
     return published - last

@@ -1,4 +1,4 @@
-"""A TCP connection between two programs that can be cut, whatever they say."""
+"""A TCP connection between two programs that can be cut, whatever their protocol."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from contextlib import suppress
 
 
 class Pipe:
-    """Takes connections in the place of a program, and passes on what comes, both ways.
+    """Accepts connections in place of a program, and forwards the data, both ways.
 
     Args:
         port: where that program listens, on loopback.
@@ -27,7 +27,7 @@ class Pipe:
         threading.Thread(target=self._accept, daemon=True).start()
 
     def cut(self) -> None:
-        """Ends all connections, and refuses new ones."""
+        """End all connections, and refuse new ones."""
         with self._lock:
             self._open = False
             sockets = list(self._sockets)
@@ -36,12 +36,12 @@ class Pipe:
                 one.shutdown(socket.SHUT_RDWR)
 
     def heal(self) -> None:
-        """Takes connections again."""
+        """Accept connections again."""
         with self._lock:
             self._open = True
 
     def close(self) -> None:
-        """Ends it."""
+        """End it."""
         self._listener.close()
         self.cut()
 

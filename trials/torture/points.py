@@ -1,4 +1,4 @@
-"""The named points between the effects of a hand-over, at which a real agent can be killed, and how.
+"""The named points between the effects of a hand-off at which a real agent can be killed, and how.
 
 From outside, an agent that dies between a write and the message that follows cannot be told from one whose message was
 sent and is lost; so a proxy that sees the message kills its sender and loses it. Before a write, and before a task is
@@ -20,15 +20,15 @@ class Point:
     """A moment in the life of one agent.
 
     Attributes:
-        name: which, in the words of docs/protocol.md.
+        name: its name in docs/protocol.md.
         word: the type of the packet with which it begins; empty: at any time.
         how: `lost`: the word's sender dies, and it does not arrive. `sent`: its sender dies, and it arrives. `write`:
             its receiver dies before its next write. `written`: the same, after it. `start`, `resume`: its receiver
             dies before the task is started there, or goes on.
-        phase: of the record that is to be written.
-        lose: a type of packet that is lost until then, so that it comes to this.
-        then: a second point, which the agent comes to once it is started again.
-        lazy: whether it is looked for at a task that writes a checkpoint each second, not after each packet.
+        phase: the phase of the record that is about to be written.
+        lose: a type of packet that is lost until then, so that the agent reaches the point.
+        then: a second point, which the agent reaches after its restart.
+        lazy: whether to use a task that writes a checkpoint each second, instead of after each packet.
     """
 
     name: str
@@ -121,5 +121,5 @@ POINTS = (
     Point("owner: checkpoint written, before it acknowledges a packet", _RECEIPT, "lost", lazy=False),
     Point("owner: after it acknowledged a packet", _RECEIPT, "sent", lazy=False),
 )
-"""All of them."""
+"""All points."""
 NAMES = tuple(name for point in POINTS for name in (point.name, point.then.name if point.then else "") if name)

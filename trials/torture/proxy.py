@@ -1,4 +1,4 @@
-"""A proxy between two agents that reads what they say, and cuts the link or loses a packet at a chosen word."""
+"""A proxy between two agents that reads their packets, and cuts the link or loses a packet at a chosen message."""
 
 from __future__ import annotations
 
@@ -17,29 +17,29 @@ from pancakes.mesh.codec import FrameReader, unpacked
 from pancakes.mesh.messages import HELLO_NUMBER, Gossip
 
 RUN = 0
-"""What the array of a run of packets begins with; see `pancakes.mesh.codec`."""
+"""The beginning of the array of a run of packets; see `pancakes.mesh.codec`."""
 
 _NUMBERS = itertools.count()
 
-LISTEN = 7  # where a hello has the addresses at which its sender may be dialled
+LISTEN = 7  # the index of the sender's addresses in a hello
 
 
 class Verdict(Enum):
-    """What becomes of a packet."""
+    """What the proxy does with a packet."""
 
     PASS = "pass"
     LOSE = "lose"
-    """It does not arrive; what follows does."""
+    """Lose it; later packets arrive."""
     END = "end"
-    """It does not arrive, and nothing else on this connection: its sender is dead."""
+    """Lose it and everything else on this connection: its sender is dead."""
 
 
 Watch = Callable[[list[Any]], Verdict]
-"""Is shown each packet: [channel, type, source, destination, stamp, seq, cause, body, fence]."""
+"""Called with each packet: [channel, type, source, destination, stamp, seq, cause, body, fence]."""
 
 
 def _listener(target: str) -> tuple[socket.socket, str]:
-    """Returns a socket that takes connections in the place of `target`, and the address to dial it."""
+    """Return a socket that accepts connections in place of `target`, and its address."""
     if is_local(target):
         made = socket.socket(socket.AF_UNIX)
         path = f"{target.removeprefix('local://')}-{next(_NUMBERS)}"
@@ -73,11 +73,11 @@ class Proxy:
     lost, so that there is no way around.
 
     Args:
-        target: where the other agent listens, as `tcp://host:port` or `local:///path`; so is the proxy dialled.
-        watch: decides what becomes of each packet, in the connection's own thread; None: all pass.
+        target: the address of the other agent, `tcp://host:port` or `local:///path`; the proxy has the same scheme.
+        watch: decides what to do with each packet, in the connection's own thread; None: all pass.
 
     Attributes:
-        address: where to dial it.
+        address: the address of the proxy.
         cut: set once the link has been cut.
     """
 
@@ -97,17 +97,17 @@ class Proxy:
         threading.Thread(target=self._accept, daemon=True).start()
 
     def cut_at(self, word: str) -> None:
-        """Cuts the link when the next packet of this type is on its way; it does not arrive, and nothing after it."""
+        """Cut the link when the next packet of this type is on its way; neither it nor anything after it arrives."""
         with self._lock:
             self._word = word
 
     def heal(self) -> None:
-        """Lets the two reach each other again."""
+        """Restore the link."""
         with self._lock:
             self._open = True
 
     def hold(self, there: bool, back: bool) -> None:
-        """Holds what is said, or lets it go on: nothing is lost, it comes late, and no end is told of it.
+        """Hold all data, or release it: nothing is lost, everything is late, and neither end notices.
 
         Args:
             there: whether what the one that dials says is held.
@@ -120,7 +120,7 @@ class Proxy:
                 flow.set()
 
     def close(self) -> None:
-        """Ends it, and all connections."""
+        """End it, and all connections."""
         self._ended = True
         self.hold(False, False)
         self._listener.close()
@@ -132,7 +132,7 @@ class Proxy:
         for pair in pairs:
             for one in pair:
                 try:
-                    # With a reset: what was on its way is lost, as on a link that was cut.
+                    # Close with a reset, so that data on its way is lost, as on a cut link.
                     one.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
                     one.shutdown(socket.SHUT_RDWR)
                 except OSError:
@@ -158,7 +158,7 @@ class Proxy:
             threading.Thread(target=self._carry_both, args=(near, far), daemon=True).start()
 
     def _carry_both(self, near: socket.socket, far: socket.socket) -> None:
-        """Carries both ways until both have ended, and closes the two."""
+        """Forward both ways until both have ended, and close both."""
         back = threading.Thread(target=self._carry, args=(far, near, self._flows[1]), daemon=True)
         back.start()
         self._carry(near, far, self._flows[0])
@@ -184,14 +184,14 @@ class Proxy:
                         sink.sendall(struct.pack(">I", len(whole)) + whole)
                     if ends:
                         return
-            flow.wait()  # an end is said too
+            flow.wait()  # the end of the data is held, too
         except OSError:
             pass
         finally:
             for one in (source, sink):
                 try:
                     one.shutdown(socket.SHUT_RDWR)
-                except OSError:  # it is closed already
+                except OSError:  # already closed
                     pass
 
     def _is_cut_by(self, messages: list[list[Any]]) -> bool:
@@ -204,7 +204,7 @@ class Proxy:
         return True
 
     def _judged(self, messages: list[list[Any]]) -> tuple[list[list[Any]], bool]:
-        """Returns the messages that arrive, and whether they are the last ones."""
+        """Return the messages that may arrive, and whether they are the last ones."""
         kept: list[list[Any]] = []
         for message in messages:
             if message[0] == HELLO_NUMBER:
@@ -220,7 +220,7 @@ class Proxy:
         return kept, False
 
     def _judged_run(self, run: list[Any], watch: Watch) -> tuple[list[list[Any]], bool]:
-        """Returns the rows of a run that arrive, and whether they are the last ones."""
+        """Return the rows of a run that may arrive, and whether they are the last ones."""
         kept: list[list[Any]] = []
         for row in run[-1]:
             verdict = watch([*run[1:5], *row, run[5]])

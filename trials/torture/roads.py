@@ -1,4 +1,4 @@
-"""What leads from agent to agent while they are killed: a proxy between each two, or Zenoh routers, which fail too."""
+"""Connections between agents that are killed: a proxy between each two, or Zenoh routers, which fail, too."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from zenoh_links.routers import Router
 
 
 class Roads(ABC):
-    """What leads from agent to agent.
+    """The connections between agents.
 
     Attributes:
-        listen: where each agent listens, by name.
-        peers: what each dials, by name.
-        network: what the configuration of each says of the network, by name.
-        faults: what may happen to the roads themselves.
+        listen: the address of each agent, by name.
+        peers: the addresses that each dials, by name.
+        network: the network settings of each, by name.
+        faults: the faults of the connections themselves.
     """
 
     listen: Mapping[str, str]
@@ -35,16 +35,16 @@ class Roads(ABC):
     faults: Sequence[str] = ()
 
     def strike(self, fault: str, draw: random.Random, waits: Waits) -> None:
-        """Has one of the faults happen to them, and ends it again."""
+        """Make one of the faults, and end it again."""
         raise NotImplementedError(fault)
 
     @abstractmethod
     def close(self) -> None:
-        """Ends them."""
+        """Remove the connections."""
 
 
 MakeRoads = Callable[[Sequence[str], Path, Watch], Roads]
-"""Makes the roads between agents of these names, with the files of a folder; shows each packet where it can."""
+"""Makes the connections between agents of these names, with files in a folder; shows each packet if possible."""
 
 
 class Proxies(Roads):
@@ -52,7 +52,7 @@ class Proxies(Roads):
 
     Args:
         listen: where each agent listens.
-        watch: is shown each packet.
+        watch: called with each packet.
     """
 
     def __init__(self, listen: Mapping[str, str], watch: Watch) -> None:
@@ -75,10 +75,10 @@ class Proxies(Roads):
 class Routers(Roads):
     """Two Zenoh routers, one of which joins the other through a pipe that can be cut.
 
-    The first agent knows one router alone, the second the other one, all others both.
+    The first agent knows only one router, the second only the other one, all others both.
 
     Args:
-        names: of the agents.
+        names: the names of the agents.
     """
 
     faults = ("a router killed", "both routers killed", "a router stopped", "routers parted")
@@ -95,7 +95,7 @@ class Routers(Roads):
             name: _network(addresses[number : number + 1] if number < 2 else addresses[:: -1 if number % 2 else 1])
             for number, name in enumerate(names)
         }
-        # For those that ask for moves: so a process has one fleet behind routers at a time.
+        # For the clients of this process, so it can have only one fleet behind routers at a time.
         os.environ["PANCAKES_ZENOH"] = ",".join(addresses)
         for router in self._routers:
             router.start()
@@ -135,20 +135,20 @@ def _network(routers: Sequence[str]) -> str:
 
 
 def over_tcp(names: Sequence[str], directory: Path, watch: Watch) -> Roads:
-    """The agents speak over TCP."""
+    """Connect the agents over TCP."""
     ports: list[Any] = free_ports(len(names))
     return Proxies({name: f"tcp://127.0.0.1:{port}" for name, port in zip(names, ports, strict=True)}, watch)
 
 
 def over_local(names: Sequence[str], directory: Path, watch: Watch) -> Roads:
-    """The agents speak by sockets of the file system."""
+    """Connect the agents by sockets of the file system."""
     return Proxies({name: f"local://{directory}/{name}" for name in names}, watch)
 
 
 def over_zenoh(names: Sequence[str], directory: Path, watch: Watch) -> Roads:
-    """The agents speak through routers, and no packet is shown."""
+    """Connect the agents through routers; no packet is shown."""
     return Routers(names)
 
 
 ROADS: Mapping[str, MakeRoads] = {"tcp": over_tcp, "local": over_local, "zenoh": over_zenoh}
-"""By the option of `scripts/torture kills`."""
+"""The functions by the option of `scripts/torture kills`."""

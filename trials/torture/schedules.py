@@ -1,4 +1,4 @@
-"""Seeded fault schedules: whole virtual agents whose tasks move both ways at once while everything goes wrong.
+"""Seeded fault schedules: whole virtual agents whose tasks migrate both ways at once, under all kinds of faults.
 
 A seed draws all of it: how slow the links are, which packets of the hand-over are lost, doubled, put off and overtaken,
 when links break and networks part, between which two steps an agent is killed, and what an operator asks for meanwhile.
@@ -39,7 +39,7 @@ from pancakes.util.plugins import Plugins
 ROBOTS = ("a", "b", "c")
 BORN = {"One": "a", "Two": "b", "Three": "a", "Four": "c"}
 HEALS_WITHIN_S = 60.0
-"""The longest pauses are those between two dials (10 s) and between two repetitions in doubt (7.5 s)."""
+"""How long healing may take: the longest pauses are between two dials (10 s) and two repetitions in doubt (7.5 s)."""
 TOLD = {
     "kill": "killed:",
     "break": "a link is broken:",
@@ -50,26 +50,26 @@ TOLD = {
     "doubled": "... which comes twice:",
     "late": "... which comes late:",
 }
-"""How the things that are counted are told."""
+"""The names of the counted things for people."""
 
 
 @cache
 def _plugins() -> Plugins:
-    """Returns what agents are made of; read once, so that all schedules of a process have the same."""
+    """Return the plug-ins of the agents; read once, so that all schedules of a process use the same."""
     return registered({"test.Roamer": Roamer, "test.Drives": Drives})
 
 
 @dataclass
 class Outcome:
-    """How one schedule ended.
+    """The result of one schedule.
 
     Attributes:
         seed: draws all of it.
-        violation: what went wrong; empty: nothing.
-        counts: how often each thing happened.
-        healed_s: how long, in virtual time, after the healing all was well.
+        violation: the broken promise; empty: none.
+        counts: how often each kind of event happened.
+        healed_s: how long the fleet took to recover after the end of the faults, in virtual time.
         wall_s: how long it took on this machine.
-        fingerprint: the same for two runs that went the same way: made of what was drawn, the disks and the counts.
+        fingerprint: equal for two identical runs: a digest of the random numbers, the disks and the counts.
     """
 
     seed: int
@@ -85,7 +85,7 @@ class Schedule:
 
     Args:
         seed: draws all of it.
-        trace: is told what happens, a line each; None: nobody is.
+        trace: called with a line for each event; None: no trace.
     """
 
     def __init__(self, seed: int, trace: Callable[[str], None] | None = None) -> None:
@@ -102,17 +102,17 @@ class Schedule:
         self._faulty = True
         self._doomed: dict[
             str, tuple[str, int]
-        ] = {}  # agents that will be killed: at which kind of step, after how many
+        ] = {}  # agents that will be killed: at which kind of step, and after how many
         self._plugins = _plugins()
         self._drivers: tuple[str, ...] = draw.choice([("Two",), ("One", "Two")])
         self._each = draw.choice([(), ("One", "Four")])
-        # A third of all: four tasks that write ten notes a second take half of the time of such a schedule.
+        # Only in a third of the schedules: four tasks with ten letters a second take half of the time of a schedule.
         self.oracle = Oracle(self.fleet.now, talk=seed % 3 == 0, each=self._each)
         self._probes: dict[str, Probe] = {}
         give_turn = self.fleet.dispatcher.give_turn
 
         def turn(mailbox: Mailbox, slice_s: float | None = None) -> None:
-            """A turn, then a look at all tasks: between two turns is where anything may be seen by anybody."""
+            """Give a turn, then check all tasks: between two turns, every state is visible to others."""
             component = mailbox.component
             give_turn(mailbox, slice_s)
             self.oracle.check()
@@ -122,14 +122,14 @@ class Schedule:
         self.fleet.dispatcher.give_turn = turn  # type: ignore[method-assign]
 
     def tell(self, kind: str, text: str = "") -> None:
-        """Counts what has happened, and says it to whoever traces."""
+        """Count an event, and trace it."""
         self.outcome.counts[kind] += 1
         self.story.say(f"{TOLD.get(kind, kind)} {text}")
 
     # Agents ----------------------------------------------------------------------------------------------------
 
     def start(self, name: str) -> None:
-        """Starts an agent, with the disk that it had."""
+        """Start an agent with its former disk."""
         tasks = {
             task: {
                 "type": "test.Drives" if task in self._drivers else "test.Roamer",
@@ -148,7 +148,7 @@ class Schedule:
             listen=f"tcp://{name}:7400",
             peers=peers,
             seed=self.outcome.seed,
-            join_s=0.0,  # there is no mission whose time would matter
+            join_s=0.0,  # mission time does not matter here
         )
         self.fleet.add(name, partial(self._make, config))
 
@@ -165,7 +165,7 @@ class Schedule:
         def write_and_tell(batch: Sequence[JournalEntry]) -> None:
             self._step(name, "write")
             if self._agent(name) is not agent:
-                return  # killed just before it was written
+                return  # killed just before the write
             write(batch)
             for entry in batch:
                 if entry.kind == RECORD:
@@ -176,12 +176,12 @@ class Schedule:
 
         virtual.journal.write = write_and_tell  # type: ignore[method-assign]
         if self.story.told:
-            # No reader: one more actor would get turns, and the order of all the others would be another.
+            # A tap and not a reader: another actor would get turns, and change the order of all others.
             agent.kernel.stream.tap(LOG, self.story.logged)
         return agent
 
     def _step(self, name: str, kind: str) -> None:
-        """An agent has taken a step: it may have been its last."""
+        """Note a step of an agent, and kill it if it was its last."""
         doom = self._doomed.get(name)
         if doom is None or doom[0] != kind:
             return
@@ -194,7 +194,7 @@ class Schedule:
         return handle.agent if handle is not None else None
 
     def kill(self, name: str) -> None:
-        """Kills an agent where it stands, which may be between any two steps."""
+        """Kill an agent at once, possibly between any two steps."""
         self._doomed.pop(name, None)
         handle = self.fleet.agents.pop(name, None)
         if handle is not None:
@@ -204,7 +204,7 @@ class Schedule:
     # The network -----------------------------------------------------------------------------------------------
 
     def _inject(self, name: str, inject: Callable[[Packet], object], packet: Packet) -> None:
-        """Lets a packet of the hand-over come not at all, twice, or late and behind those that were sent after it."""
+        """Lose a packet of the hand-off, deliver it twice, or deliver it late, behind later packets."""
         if packet.channel != NETWORK or not packet.type.startswith("migration."):
             inject(packet)
             return
@@ -229,17 +229,17 @@ class Schedule:
         self._step(name, "packet")
 
     def _come_late(self, name: str, packet: Packet) -> None:
-        """It reaches whoever has the name by then, also the agent that was killed and started again in between."""
+        """Deliver a late packet to the agent that has the name by then, even if it was restarted in between."""
         agent = self._agent(name)
         if agent is not None:
             self.story.heard(name, packet, " late")
-            # Past the faults: once is enough.
+            # Without faults: each packet gets a fault at most once.
             type(agent.kernel.stream).inject(agent.kernel.stream, packet)
 
-    # What happens ----------------------------------------------------------------------------------------------
+    # Random events ---------------------------------------------------------------------------------------------
 
     def ask(self, name: str, body: Any) -> None:
-        """An operator asks an agent for something."""
+        """Send an agent a random control packet, as an operator."""
         self.tell("migrate" if isinstance(body, Migrate) else "command", f"{name} {body}")
         self._probes[name].publish(SYSCTRL, body)
 
@@ -247,7 +247,7 @@ class Schedule:
         return [copy.agent for copy in self.oracle.running(task)]
 
     def move(self) -> None:
-        """Some tasks, or all of them, are to move, somewhere or to somebody."""
+        """Request the migration of some or all tasks, to any agent or to a named one."""
         for task in BORN:
             if self.random.random() < 0.7:
                 for host in self.hosts(task):
@@ -273,7 +273,7 @@ class Schedule:
             self.ask(name, body)
 
     def doom(self) -> None:
-        """One agent will be killed: before or after a write, after a packet, or after any actor's turn."""
+        """Plan the kill of one agent: before or after a write, after a packet, or after any actor's turn."""
         if self.fleet.agents:
             name = self.random.choice(list(self.fleet.agents))
             kind = self.random.choice(["write", "written", "packet", "turn"])
@@ -303,7 +303,7 @@ class Schedule:
     # The whole -------------------------------------------------------------------------------------------------
 
     def run(self) -> Outcome:
-        """Runs it to its end; what goes wrong is in the outcome."""
+        """Run the schedule to its end; the outcome has the violation."""
         began_s = time.perf_counter()
         Roamer.oracle = self.oracle
         try:
@@ -311,10 +311,10 @@ class Schedule:
             self._heal()
         except Violation as violation:
             self.outcome.violation = str(violation)
-        except Exception:  # whatever breaks down is what is looked for here, and the other seeds are to run on
+        except Exception:  # an error is a finding, and the other seeds must run
             self.outcome.violation = traceback.format_exc()
         finally:
-            # Its agents are in the middle of something; they end where they stand, so that nothing of them stays.
+            # Kill its agents in the middle of their work, so that nothing of them stays.
             for agent in [handle.agent for handle in self.fleet.agents.values()]:
                 agent.crash()
             self.fleet.agents.clear()
@@ -329,7 +329,7 @@ class Schedule:
         return self.outcome
 
     def _fingerprint(self) -> int:
-        # The next number tells how many were drawn before, and the disks in which order the agents did their work.
+        # The next random number depends on how many were drawn, and the disks on the order of the agents' work.
         drawn, disks = self.random.random(), [self.fleet.disk(name) for name in ROBOTS]
         return zlib.crc32(repr((drawn, disks, self.fleet.now(), sorted(self.outcome.counts.items()))).encode())
 
@@ -356,7 +356,7 @@ class Schedule:
                 self.revive()
 
     def _heal(self) -> None:
-        """Ends all trouble: then each task runs, once, wherever it is."""
+        """End all faults: then each task must run exactly once, on any agent."""
         self.story.say("all heals: no more faults, all links up, all agents started")
         self._faulty = False
         self._doomed.clear()
@@ -371,7 +371,7 @@ class Schedule:
                 # snapshot that came late had its wheels reserved for a moment, it is asked for once more.
                 self.ask(name, Start(f"client/{task}"))
             self.fleet.run_for(3.0)
-            # What was on its way when all healed may come only now, and is settled by another round of messages.
+            # Packets from before the end of the faults may arrive only now, and need another round of messages.
             self.fleet.run_until(self._settled, HEALS_WITHIN_S)
         resting = [task for _, task in self._stopped()]
         if not self._settled() or any(not self._waits_for_wheels(name, task) for name, task in self._stopped()):
@@ -388,7 +388,7 @@ class Schedule:
             raise Violation(f"{HEALS_WITHIN_S:g} s after all healed these wait for packets: {self._unheard(resting)}")
 
     def _unheard(self, resting: Sequence[str]) -> dict[str, int]:
-        """Returns how many packets still wait for each task that runs."""
+        """Return how many packets still wait for each running task."""
         waiting: Counter[str] = Counter()
         for agent in (handle.agent for handle in self.fleet.agents.values()):
             waiting.update(agent.outbox.waiting())
@@ -410,12 +410,12 @@ class Schedule:
         ]
 
     def _waits_for_wheels(self, name: str, task: str) -> bool:
-        """Whether a task that an operator stopped is refused its start because another has the wheels by now."""
+        """Return whether the start of a stopped task is refused because another task has the wheels by now."""
         others = [other for other in self._drivers if other != task and self.hosts(other) == [name]]
         return task in self._drivers and bool(others)
 
     def _settled(self) -> bool:
-        """Whether each task has one owner, and runs where it is wanted to, and no hand-over is under way."""
+        """Return whether each task has one owner and runs where it should, and no hand-off is under way."""
         owners: Counter[str] = Counter()
         for _, record in self._records():
             if record.phase in (Phase.FROZEN, Phase.COMMITTED, Phase.PREPARED):
@@ -444,12 +444,12 @@ class Schedule:
 
 
 def run_schedule(seed: int, trace: Callable[[str], None] | None = None) -> Outcome:
-    """Runs one schedule; twice the same for the same seed."""
+    """Run one schedule; the same seed gives the same run."""
     return Schedule(seed, trace).run()
 
 
 def run_schedules(seeds: Sequence[int], jobs: int) -> Iterator[Outcome]:
-    """Runs a schedule for each seed, several at once, and yields how they went as they end."""
+    """Run a schedule for each seed, several at once, and yield their results as they end."""
     if jobs == 1:
         yield from map(run_schedule, seeds)
         return
@@ -463,7 +463,7 @@ def _one_by_one(
     refused: Callable[[Packet, PancakesError], None],
     size: int | None = None,
 ) -> None:
-    """What `InformationStream.inject_all` does, with an `inject` of our own."""
+    """Do the work of `InformationStream.inject_all` with an `inject` of our own."""
     for packet in packets:
         try:
             inject(packet)

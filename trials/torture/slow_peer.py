@@ -1,4 +1,4 @@
-"""An agent that speaks the protocol and hardly reads: on a raw socket, so that it can be as slow as nobody else."""
+"""A peer that speaks the protocol but hardly reads, on a raw socket, so that it can be arbitrarily slow."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ LOOK_S = 0.02
 
 
 class SlowPeer:
-    """Dials an agent, stands as its neighbour, sends its heartbeats in time, and reads as slowly as it is told.
+    """Dials an agent, becomes its neighbour, sends heartbeats in time, and reads at a set speed.
 
     Args:
-        address: where the agent listens.
-        name: its own name; greater than the agent's, so that the agent takes its link to stand.
+        address: the address of the agent.
+        name: its own name; greater than the agent's, so that the agent accepts its link.
         fleet: its fleet.
 
     Attributes:
-        bytes_per_s: how fast it reads; 0: not at all; infinity: all that comes.
-        is_up: set once the link stands.
-        is_over: set once it has ended, from whichever side.
+        bytes_per_s: how fast it reads; 0: not at all; infinity: everything at once.
+        is_up: set once it is connected.
+        is_over: set once either side has ended the link.
     """
 
     def __init__(self, address: str, name: str = "zz-slow", fleet: str = "load") -> None:
@@ -35,7 +35,7 @@ class SlowPeer:
         self.is_over = threading.Event()
         self.reason = ""
         self._sock = socket.socket()
-        self._sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)  # its kernel takes little for it
+        self._sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)  # so it buffers little
         self._sock.settimeout(5.0)
         self._sock.connect((host, int(port)))
         self._link = Link(
@@ -46,7 +46,7 @@ class SlowPeer:
         self._thread.start()
 
     def close(self) -> None:
-        """Ends it without a word."""
+        """Close the socket without a goodbye."""
         self._ended = True
         self._thread.join()
 
@@ -57,7 +57,7 @@ class SlowPeer:
             while not self._ended and not self.is_over.is_set():
                 now_s = time.monotonic()
                 owed, before_s = min(65_536.0, owed + self.bytes_per_s * (now_s - before_s)), now_s
-                # A socket that was closed says so only to who reads to its end, or writes.
+                # A closed socket is noticed only by reading to its end, or by writing.
                 if owed >= 1 and select.select([self._sock], [], [], LOOK_S)[0]:
                     data = self._sock.recv(int(owed))
                     if not data:
@@ -67,7 +67,7 @@ class SlowPeer:
                 elif owed < 1:
                     select.select([], [], [], LOOK_S)
                 if self._link.peer is not None and self.bytes_per_s < 2:
-                    self._link.receive(b"", now_s)  # it has not forgotten the agent
+                    self._link.receive(b"", now_s)  # do not count the agent as silent
                 self._act(self._link.tick(now_s))
         except OSError as error:
             self.reason = self.reason or str(error)

@@ -1,4 +1,4 @@
-"""One peer that stops or hardly reads, under load: what the others have of it, when it is given up, when it is back."""
+"""Measure a peer that stops or hardly reads under load: effect on others, time until it is closed, time to return."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from torture.overload import p99
 from torture.slow_peer import SlowPeer
 
 WANTED_RATIO: Final = 1.2
-"""So much of its baseline may the others' p99 be while one peer is slow."""
+"""How large the others' p99 may be while one peer is slow, as a multiple of the baseline."""
 CLOSED_S: Final = 7.0
-"""After so long a peer that takes nothing has been closed: 5 s, and the time until all buffers are full."""
+"""How long until a peer that reads nothing is closed: 5 s, and the time until all buffers are full."""
 TASKS: Final[dict[str, Any]] = {
     "a": {"Flood": {"to": "*", "size": 1024}, "Pinger": {"to": "b/client/Ponger"}},
     "b": {"Ponger": {}},
@@ -31,12 +31,12 @@ HOW: Final = ("stopped", "1 byte/s", "nothing")
 
 
 class Seen(NamedTuple):
-    """What was seen of one way to be slow.
+    """The figures of one kind of slowness.
 
     Attributes:
-        how: the way: `stopped` (SIGSTOP), or how much a peer reads that sends its heartbeats all the same.
-        closed_s: after how many seconds the agent gave the peer up, for each time.
-        joined_s: how long after it woke it was connected again, likewise.
+        how: `stopped` (SIGSTOP), or how much a peer reads that still sends heartbeats.
+        closed_s: how many seconds until the agent closed the link, for each time.
+        joined_s: how many seconds after it woke it was connected again, for each time.
         p99_s: of the others' round trips while one peer was slow, for each time.
         baseline_p99_s: the same just before, with that peer reading.
     """
@@ -49,18 +49,18 @@ class Seen(NamedTuple):
 
     @property
     def ratio(self) -> float:
-        """The others' p99, of its baseline: the medians."""
+        """The ratio of the others' p99 to its baseline, of the medians."""
         return median(self.p99_s) / median(self.baseline_p99_s)
 
     @property
     def spread(self) -> tuple[float, float]:
-        """The smallest and the largest ratio of any time."""
+        """The smallest and the largest ratio."""
         ratios = [slow / normal for slow, normal in zip(self.p99_s, self.baseline_p99_s, strict=True)]
         return min(ratios), max(ratios)
 
 
 def slow_peer(directory: Path, how: str, rounds: int, span_s: float) -> Seen:
-    """Measures one way to be slow, so many times; for so many seconds before that, the same peer reads."""
+    """Measure one kind of slowness several times, each after a baseline in which the same peer reads."""
     seen = Seen(how, [], [], [], [])
     with LoadedFleet(directory, TASKS) as fleet:
         fleet.wait(lambda: _trips(fleet, 0.0, math.inf), "the link")
@@ -89,7 +89,7 @@ Peer = tuple[str, Callable[[], None], Callable[[], None]]
 
 @contextmanager
 def _stopping(fleet: LoadedFleet) -> Iterator[Peer]:
-    """Yields the name of an agent, what stops its process, and what lets it go on; it goes on in any case."""
+    """Yield the name of an agent, and functions that stop and continue its process; at the end it continues."""
     pid = fleet.running["c"].pid
 
     def stop() -> None:
@@ -104,7 +104,7 @@ def _stopping(fleet: LoadedFleet) -> Iterator[Peer]:
 
 @contextmanager
 def _hardly_reading(fleet: LoadedFleet, bytes_per_s: float) -> Iterator[Peer]:
-    """Yields the name of a peer on a raw socket, what makes it slow, and what makes it come back and read."""
+    """Yield the name of a peer on a raw socket, and functions that make it slow, and make it reconnect and read."""
     peers = [SlowPeer(fleet.addresses["a"])]
 
     def fall_asleep() -> None:
@@ -122,7 +122,7 @@ def _hardly_reading(fleet: LoadedFleet, bytes_per_s: float) -> Iterator[Peer]:
 
 
 def _p99_s(fleet: LoadedFleet, began_s: float, ended_s: float) -> float:
-    """Returns the 99th percentile of the round trips that ended in a span of time."""
+    """Return the 99th percentile of the round trips that ended in a span of time."""
     fleet.wait(lambda: _trips(fleet, ended_s, math.inf), "a round trip after the span")
     return p99(_trips(fleet, began_s, ended_s))
 

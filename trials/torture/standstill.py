@@ -1,4 +1,4 @@
-"""One agent that is to stand still, in a process of its own: tasks of all kinds, and probes that notice when it does.
+"""Look for standstills of one agent in a process of its own: tasks of all kinds, and probes that notice a standstill.
 
 Every 20 ms a bare thread asks the pool, the timer and the network's loop for something trivial, and looks when each
 ticker was ticked last, and every second how often. Where one of them has not come to it for `GAP_S`, or a ticker had
@@ -36,16 +36,16 @@ from pancakes.tools.cli.agent_process import tune_interpreter
 LOOK_S: Final = 0.02
 GAP_S: Final = 0.15
 ON_TIME_S: Final = 0.03
-"""The bare thread was on time where it never was later than this while the gap grew."""
+"""The bare thread was on time if it was never later than this during the gap."""
 THIN: Final = 0.2
 TICKING: dict[str, Any] = {}
-"""Who is ticked now, by name: when last, how often a second, and how often so far."""
+"""The tickers, by name: time of the last tick, rate, and number of ticks so far."""
 
 
 @packet_type("standstill.word")
 @dataclass(frozen=True)
 class Word:
-    """What is said."""
+    """A packet."""
 
     text: str
 
@@ -53,13 +53,13 @@ class Word:
 @packet_type("standstill.other")
 @dataclass(frozen=True)
 class Other:
-    """Of another type."""
+    """A packet of another type."""
 
     text: str
 
 
 class Ticker(Task):
-    """Is ticked, and publishes now and then."""
+    """Ticks, and publishes now and then."""
 
     @dataclass
     class Settings:
@@ -81,13 +81,13 @@ class Ticker(Task):
 
 
 class PinnedTicker(Ticker):
-    """The same in a thread of its own."""
+    """The same task in a thread of its own."""
 
     blocking = True
 
 
 class Waiting(Task):
-    """Holds its thread now and then, asleep."""
+    """Blocks its thread now and then, asleep."""
 
     @on("system", Word)
     def hear(self, packet: Packet) -> None:
@@ -96,7 +96,7 @@ class Waiting(Task):
 
 
 class Computing(Task):
-    """Holds its thread and the interpreter now and then."""
+    """Blocks its thread and the interpreter now and then."""
 
     @every(hz=5)
     def compute(self, tick: Tick) -> None:
@@ -106,7 +106,7 @@ class Computing(Task):
 
 
 class Changing(Task):
-    """Subscribes, changes rates, stops and starts others."""
+    """Subscribes, changes rates, and stops and starts other tasks."""
 
     @every(hz=4)
     def change(self, tick: Tick) -> None:
@@ -128,10 +128,10 @@ class Changing(Task):
 
 
 class Probe:
-    """Asks somebody for something trivial again and again, and knows since when it waits.
+    """Asks a trivial question again and again, and knows how long it has waited for the answer.
 
     Args:
-        ask: takes what is to be called.
+        ask: sends the question; it gets the callback for the answer.
     """
 
     def __init__(self, ask: Callable[[Callable[[], Any]], Any]) -> None:
@@ -140,7 +140,7 @@ class Probe:
         self._waits = False
 
     def look(self, now_s: float) -> float:
-        """Returns for how long an answer is due, and asks anew where it has come."""
+        """Return how long an answer has been due; if it has arrived, ask again."""
         if self._waits:
             return now_s - self._asked_s
         self._asked_s, self._waits = now_s, True
@@ -155,7 +155,7 @@ class Watch:
     """The bare thread.
 
     Attributes:
-        gaps: how often each has stood still.
+        gaps: how often each one had a standstill.
         worst_s: the longest wait of each while the bare thread was on time.
         late: how often the bare thread itself was late.
         least: the smallest share of its ticks that a ticker had in any second.
@@ -181,7 +181,7 @@ class Watch:
         self._thread.start()
 
     def end(self) -> None:
-        """Ends it."""
+        """End it."""
         self._ended.set()
         self._thread.join()
 
@@ -202,7 +202,7 @@ class Watch:
                 waits[name] = now_s - last_s - 1 / rate_hz
             for name, waits_s in waits.items():
                 if waits_s > now_s - on_time_s:
-                    continue  # it began while the process itself was late
+                    continue  # the gap began while the process itself was late
                 kind = "ticks" if name in ticking else name
                 self.worst_s[kind] = max(self.worst_s.get(kind, 0.0), waits_s)
                 if waits_s > GAP_S and now_s > quiet_until_s:
@@ -217,7 +217,7 @@ class Watch:
     def _count(self, took_s: float, before: dict[str, Any], now: dict[str, Any]) -> None:
         for name, (_, rate_hz, ticks) in now.items():
             if name not in before or before[name][1] != rate_hz or ticks < before[name][2]:
-                continue  # it has a new rate, or was started anew
+                continue  # it has a new rate, or was restarted
             share = (ticks - before[name][2]) / (rate_hz * took_s)
             self.least = min(self.least, share)
             if share < THIN:
@@ -237,7 +237,7 @@ class Watch:
 
 
 def _run_state(thread: threading.Thread) -> str:
-    """Returns whether a thread runs, or would if it had a core (R), and how long it has waited for one so far."""
+    """Return whether a thread runs or waits for a core (R), and how long it has waited for one so far."""
     place = Path(f"/proc/self/task/{thread.native_id}")
     try:
         state = (place / "stat").read_text().rpartition(")")[2].split()[0]
@@ -248,7 +248,7 @@ def _run_state(thread: threading.Thread) -> str:
 
 
 def slow_disk(draws: random.Random) -> None:
-    """Lets the disk be slow now and then."""
+    """Make the disk slow now and then."""
     fsync = os.fsync
 
     def slow(fd: Any) -> None:
@@ -260,7 +260,7 @@ def slow_disk(draws: random.Random) -> None:
 
 
 def main() -> None:
-    """Runs the agent until the input ends, and tells what it saw."""
+    """Run the agent until the input ends, and print the figures."""
     told = json.loads(sys.argv[1])
     tune_interpreter()
     draws = random.Random(told["seed"])

@@ -24,12 +24,12 @@ PATIENCE_S = 60.0
 
 
 @click.command()
-@click.option("--seconds", default=300.0, show_default=True, type=click.FloatRange(1), help="How long, in all.")
+@click.option("--seconds", default=300.0, show_default=True, type=click.FloatRange(1), help="Duration, in all.")
 @click.option("--first", default=1, show_default=True, type=click.IntRange(0), help="The first seed.")
-@click.option("--dumps", default="standstill.txt", show_default=True, help="Where the stacks of a standstill go.")
+@click.option("--dumps", default="standstill.txt", show_default=True, help="File for the stacks of a standstill.")
 @json_option
 def standstill(seconds: float, first: int, dumps: str, json_file: Path | None) -> None:
-    """Agents with tasks of all kinds and peers that come, go and stop, on one, two and four cores beside other load.
+    """Run agents with all kinds of tasks and peers that come, go and stop, on one, two and four cores under load.
 
     Exit code 1 where the pool, the timer, the network's loop or a ticker did not come to what waited for 0.15 s,
     although the process had the processor meanwhile. On a machine that others use as well, such a gap may be the
@@ -51,7 +51,7 @@ def standstill(seconds: float, first: int, dumps: str, json_file: Path | None) -
 
 
 def run_round(seed: int, dumps: str) -> dict[str, Any]:
-    """Runs one agent, its peers and the load for a while."""
+    """Run one agent, its peers and the load for a while."""
     draws = random.Random(seed)
     here = sorted(os.sched_getaffinity(0))
     cores = draws.sample(here, min(len(here), draws.choice((1, 2, 4))))
@@ -71,7 +71,7 @@ def run_round(seed: int, dumps: str) -> dict[str, Any]:
     load = draws.choice((0, 0, 1, 2))
     peers = draws.choice((0, 1, 2))
     with ExitStack() as stack:
-        # They are killed, and so leave behind what they write.
+        # They are killed, so they leave their files behind.
         told["directory"] = stack.enter_context(tempfile.TemporaryDirectory(prefix="pancakes-standstill-"))
         for _ in range(load):
             burner = subprocess.Popen([sys.executable, "-c", "while True: pass"], process_group=0)
@@ -110,7 +110,7 @@ def _agent(stack: ExitStack, told: dict[str, Any], cores: list[int]) -> subproce
         stdout=subprocess.PIPE,
         text=True,
         env={**os.environ, "TMPDIR": told["directory"]},
-        process_group=0,  # Ctrl-C is for this process alone, which ends them
+        process_group=0,  # Ctrl-C reaches only this process, which ends them
         preexec_fn=lambda: os.sched_setaffinity(0, cores),
     )
     stack.callback(_end, started)

@@ -14,22 +14,22 @@ from harness.report import json_option, write
 from torture.storms import run_storms
 
 SOUND: Final = 0.01
-"""By so much the clocks of agents may be wrong: far more than a quartz is."""
+"""How wrong the clocks of agents may be: far more than a quartz."""
 UNSOUND: Final = 0.1
-"""By so much they may not, and where two act then, that must show: it tests the test."""
+"""How wrong they may not be: then two agents can act, and this must be found; it tests the test."""
 CAUGHT_WITHIN: Final = 1000
-"""One of so many storms with clocks that are too wrong has two act."""
+"""In one of this many storms with such wrong clocks, two agents act."""
 
 
 @click.command()
-@click.option("--seeds", default=10_000, show_default=True, type=click.IntRange(1), help="How many storms.")
+@click.option("--seeds", default=10_000, show_default=True, type=click.IntRange(1), help="Number of storms.")
 @click.option("--first", default=1, show_default=True, type=click.IntRange(0), help="The first seed.")
 @click.option(
     "--jobs", default=os.cpu_count() or 1, show_default=True, type=click.IntRange(1), help="How many at once."
 )
 @json_option
 def storms(seeds: int, first: int, jobs: int, json_file: Path | None) -> None:
-    """Storms of guarded tasks in virtual time: never do two act, and at the end one does.
+    """Run storms of guarded tasks in virtual time: two agents never act at once, and at the end one acts.
 
     The clock of each agent runs at a rate of its own, within 1 % of the true one. Then the same with 10 %, which is
     more than leases allow for: that must be caught. A seed does exactly the same again. Exit code 0 only where no storm
@@ -59,5 +59,5 @@ def storms(seeds: int, first: int, jobs: int, json_file: Path | None) -> None:
 
 
 def first_caught(seeds: range, jobs: int) -> int | None:
-    """Returns a seed in which two act where clocks are too wrong; None: none of these."""
+    """Return a seed in which two agents act because clocks are too wrong; None: no such seed was found."""
     return next((end.seed for end in run_storms(seeds, UNSOUND, jobs) if end.two), None)

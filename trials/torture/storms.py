@@ -1,4 +1,4 @@
-"""Storms of guarded tasks in virtual time, where each agent has a clock of its own: whatever happens, no two act.
+"""Storms of guarded tasks in virtual time, with a separate clock for each agent: two agents must never act at once.
 
 Of any two acts of the task the later one is under the epoch that is not lower, so what the environment sees is one
 task. At the end, when all is well again, exactly one agent acts.
@@ -20,23 +20,23 @@ from pancakes.task import Task, Tick, every
 from pancakes.testing import Fleet
 
 LEASES_S: Final = (3.0, 20.0)
-"""Of these one is drawn. A longer one leaves more time between the end of a permit by one clock and by another."""
+"""The leases to draw from. A longer lease has more time between the ends of a permit by two clocks."""
 CALM: Final = 7.0
-"""For so many leases all is well until the end of a storm is looked at."""
+"""How many leases without mishaps pass before the end of a storm is judged."""
 AT_THE_END: Final = 0.7
-"""For so many leases it is looked at."""
+"""For how many leases the end is watched."""
 PAUSE: Final = 0.48
-"""So many leases lie between two mishaps, on average."""
+"""The mean time between two mishaps, in leases."""
 ACTS: Final = 60
-"""So often the task acts in a lease."""
+"""How often the task acts per lease."""
 LEFT: Final = 2
-"""So many agents are up at any time."""
+"""How many agents run at any time."""
 DONE: Final[list[tuple[str, tuple[int, str]]]] = []
 """All acts of the storm: the agent, and the epoch."""
 
 
 class Act(Task):
-    """Notes when it acts, where, and under which epoch."""
+    """Records its acts: the time, the agent and the epoch."""
 
     @dataclass
     class State:
@@ -52,13 +52,13 @@ class Act(Task):
 
 @dataclass
 class StormEnd:
-    """What became of one storm.
+    """The result of one storm.
 
     Attributes:
-        seed: of the storm.
-        violation: what must not happen, as a clause; empty: nothing of it did.
-        two: whether the violation is that two acted.
-        counts: the mishaps, by kind; `act`: the acts; `taken`: how often another agent went on.
+        seed: its seed.
+        violation: the broken promise, as a clause; empty: none.
+        two: whether the violation is that two agents acted.
+        counts: the mishaps, by kind; `act`: the acts; `taken`: how often another agent took over.
     """
 
     seed: int
@@ -68,10 +68,10 @@ class StormEnd:
 
 
 class Storm:
-    """One storm: so many mishaps, drawn from a seed.
+    """One storm: a number of mishaps, drawn from a seed.
 
     Args:
-        seed: draws them, and the rates.
+        seed: the seed of the mishaps and the rates.
         apart: the clock of each agent runs at 1 ± so much of the true rate, drawn for each; in half of the storms one
             is as slow as that, and all others are as fast.
     """
@@ -90,7 +90,7 @@ class Storm:
         self._counts: Counter[str] = Counter()
 
     def run(self) -> StormEnd:
-        """Lets it happen."""
+        """Run the storm."""
         DONE.clear()
         mishaps = (
             self._crash,
@@ -186,12 +186,12 @@ class Storm:
 
 
 def run_storm(seed: int, apart: float = 0.0) -> StormEnd:
-    """Runs one storm; twice the same for the same seed."""
+    """Run one storm; the same seed gives the same run."""
     return Storm(seed, apart).run()
 
 
 def run_storms(seeds: Sequence[int], apart: float = 0.0, jobs: int = 1) -> Iterator[StormEnd]:
-    """Runs a storm for each seed, several at once, and yields how they went as they end."""
+    """Run a storm for each seed, several at once, and yield their results as they end."""
     if jobs == 1:
         yield from (run_storm(seed, apart) for seed in seeds)
         return

@@ -1,4 +1,4 @@
-"""The story of a fault schedule, in words. It looks on and changes nothing, so that a schedule told is the same one."""
+"""Trace a fault schedule in words. Tracing changes nothing, so that a traced schedule is the same."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from pancakes.events import Event, LogLine
 from pancakes.packet import Packet, agent_of
 
 UNTOLD = ("migration",)
-"""Fields of events that would fill pages: the whole ledger is in the event `migration`, told as its outcome."""
+"""Fields of events that would fill pages, such as the whole ledger in the event `migration`."""
 
 
 class Story:
-    """Tells what happens, a line each.
+    """Prints a line for each event.
 
     Args:
-        tell: takes a line; None: nobody listens, and no sentence is made.
+        tell: called with each line; None: nothing is traced.
         now: the virtual time, in seconds.
     """
 
@@ -27,16 +27,16 @@ class Story:
 
     @property
     def told(self) -> bool:
-        """Whether anybody listens."""
+        """Whether the schedule is traced."""
         return self._tell is not None
 
     def say(self, text: str) -> None:
-        """Tells a sentence."""
+        """Print a sentence."""
         if self._tell is not None:
             self._tell(f"{self._now():9.4f} {text}")
 
     def wrote(self, agent: str, record: Record) -> None:
-        """A record is on an agent's disk for good; a mere checkpoint is not worth a line."""
+        """Print that a record is on an agent's disk; checkpoints are skipped."""
         if self._tell is None:
             return
         news = (record.phase, record.epoch, record.offer, record.wanted, record.incarnation)
@@ -45,7 +45,7 @@ class Story:
             self.say(f"on the disk of {agent}: {_standing(record)}")
 
     def heard(self, name: str, packet: Packet, how: str = "") -> None:
-        """A packet of a hand-over has come to an agent."""
+        """Print that a packet of a hand-off has reached an agent."""
         if self._tell is None:
             return
         body = packet.body
@@ -55,7 +55,7 @@ class Story:
         self.say(f"{name} hears{how} from {agent_of(packet.source)}: {what}{offer} for {body.task_id}{reason}")
 
     def logged(self, packet: Packet) -> None:
-        """An agent has published something on `log`."""
+        """Print what an agent has published on `log`."""
         body = packet.body
         if isinstance(body, LogLine):
             if body.level != "debug":

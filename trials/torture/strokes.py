@@ -1,4 +1,4 @@
-"""The faults that real agents of one fleet are struck with, and how each of them is healed."""
+"""The faults of real agents of one fleet, and how each of them is healed."""
 
 from __future__ import annotations
 
@@ -33,11 +33,11 @@ KINDS: Final = (
 KILLS: Final = tuple(kind for kind in KINDS if kind.startswith("kill"))
 DISKS: Final = ("kill, lost disk", "kill, restored disk")
 FOR_GOOD: Final = (*DISKS, "kill, stays away")
-"""These take a guardian away, or what it remembers: of three the two others must be well."""
+"""Faults that remove a guardian or its memory: the two others of three must be well."""
 LOSSES: Final = (*KILLS, "goodbye", "long stop", "cut", "one-way cut")
-"""After these another agent has to take the task, where they hit its owner."""
+"""Faults after which another agent must take over the task, if they hit its owner."""
 BACKED_UP: Final = 200
-"""So often a copy is tried of a disk that changes."""
+"""How often to try to copy a disk that changes."""
 
 
 class Stroke(NamedTuple):
@@ -46,7 +46,7 @@ class Stroke(NamedTuple):
     Attributes:
         kind: which.
         hit: the agent.
-        for_s: how long it lasts; infinity: until another one is made.
+        for_s: how long it lasts; infinity: until the next one.
         heal: ends it.
     """
 
@@ -57,14 +57,14 @@ class Stroke(NamedTuple):
 
 
 class Strokes:
-    """Strikes the agents of one fleet.
+    """Make faults of the agents of one fleet.
 
     Args:
         fleet: the fleet.
-        proxies: what stands between each two agents, by the one that dials and the one that is dialled.
+        proxies: the proxy between each two agents, by the one that dials and the one that is dialled.
         lease_s: the lease of the task.
-        draw: draws how long a fault lasts, and which way a link is cut.
-        started: is told of each agent that is started again.
+        draw: random numbers for the duration of a fault, and the direction in which a link is cut.
+        started: called with each agent that is started again.
     """
 
     def __init__(
@@ -82,7 +82,7 @@ class Strokes:
         self._started = started
 
     def strike(self, kind: str, hit: str, others: Sequence[str]) -> Stroke:
-        """Makes a fault.
+        """Make a fault.
 
         Args:
             kind: which.
@@ -110,22 +110,22 @@ class Strokes:
         return Stroke(kind, hit, self._leases(1.2, 3.0), lambda: self._hold(hit, False, False, peers))
 
     def close(self) -> None:
-        """Lets all links go on."""
+        """Restore all links."""
         for proxy in self._proxies.values():
             proxy.hold(False, False)
 
     def back_up(self, name: str) -> None:
-        """Copies an agent's disk, also while the agent writes to it, as backups do."""
+        """Copy an agent's disk, even while the agent writes to it, like a backup."""
         copy = self._copy(name)
         for _ in range(BACKED_UP):
             shutil.rmtree(copy, ignore_errors=True)
-            with contextlib.suppress(shutil.Error, OSError):  # a file was replaced meanwhile
+            with contextlib.suppress(shutil.Error, OSError):  # a file was replaced during the copy
                 shutil.copytree(self._fleet.state / name, copy)
                 return
         raise OSError(f"no copy of {self._fleet.state / name} could be made: it changes all the time")
 
     def is_backed_up(self, name: str) -> bool:
-        """Returns whether there is a copy of an agent's disk; it may be of any age."""
+        """Return whether there is a copy of an agent's disk; it may be of any age."""
         return self._copy(name).exists()
 
     def _copy(self, name: str) -> Path:
@@ -154,7 +154,7 @@ class Strokes:
         self._started(name)
 
     def _hold(self, hit: str, says: bool, hears: bool, peers: Sequence[str] = ()) -> None:
-        """Holds what an agent says, or hears; from some peers alone where they are named."""
+        """Hold the data from or to an agent; if peers are named, only theirs."""
         for (dialler, dialled), proxy in self._proxies.items():
             if hit == dialler and dialled in (peers or (dialled,)):
                 proxy.hold(says, hears)
@@ -162,7 +162,7 @@ class Strokes:
                 proxy.hold(hears, says)
 
     def _flap(self, hit: str) -> Stroke:
-        """Cuts an agent off and lets it go on, by turns, each for half a lease."""
+        """Cut an agent off and reconnect it in turns, each for half a lease."""
         ended = threading.Event()
 
         def flap() -> None:
@@ -185,13 +185,13 @@ class Strokes:
 
 
 def _limit(pid: int, most_bytes: int) -> int:
-    """Lets no file of a process become longer than that, as on a full disk; returns how long they might be before."""
+    """Limit the size of a process's files, as on a full disk; return the former limit."""
     soft, hard = resource.prlimit(pid, resource.RLIMIT_FSIZE)
     resource.prlimit(pid, resource.RLIMIT_FSIZE, (most_bytes, hard))
     return soft
 
 
 def _unlimit(pid: int, soft: int) -> None:
-    with contextlib.suppress(ProcessLookupError):  # a later fault has killed it
+    with contextlib.suppress(ProcessLookupError):  # a later fault has killed the process
         _, hard = resource.prlimit(pid, resource.RLIMIT_FSIZE)
         resource.prlimit(pid, resource.RLIMIT_FSIZE, (soft, hard))

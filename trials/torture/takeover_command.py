@@ -16,17 +16,17 @@ from torture.takeover_tally import TakeoverTally
 
 
 @click.command()
-@click.option("--faults", default=1000, show_default=True, type=click.IntRange(1), help="How many faults.")
-@click.option("--fleets", default=4, show_default=True, type=click.IntRange(1), help="How many fleets at once.")
-@click.option("--seed", default=1, show_default=True, help="Draws the faults.")
+@click.option("--faults", default=1000, show_default=True, type=click.IntRange(1), help="Number of faults.")
+@click.option("--fleets", default=4, show_default=True, type=click.IntRange(1), help="Number of parallel fleets.")
+@click.option("--seed", default=1, show_default=True, help="Seed of the faults.")
 @click.option(
     "--resume",
     type=click.Path(file_okay=False, path_type=Path),
     metavar="DIR",
-    help="Keep what was done in this directory after each case; a run that was ended goes on.",
+    help="Save the tally in this directory after each case; an interrupted run continues from it.",
 )
 @click.option("--only", multiple=True, type=click.Choice(KINDS), help="Only faults of this kind; may be repeated.")
-@click.option("--calm", is_flag=True, help="Each fault comes alone: for how long a take-over takes.")
+@click.option("--calm", is_flag=True, help="Make one fault at a time, to measure the duration of take-overs.")
 @json_option
 def takeovers(
     faults: int,
@@ -37,7 +37,7 @@ def takeovers(
     calm: bool,
     json_file: Path | None,
 ) -> None:
-    """Real agents that guard a task, struck by all kinds of faults: never do two act, and then one goes on.
+    """Strike real agents that guard a task with all kinds of faults: two never act at once, and then one continues.
 
     Four agents to a fleet; half of the faults come during hand-offs and take-overs. Exit code 0 only where no two acts
     were under a passed epoch, at most one act was late for each stop of each thread, no packet to the task had its

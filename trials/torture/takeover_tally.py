@@ -1,4 +1,4 @@
-"""What became of guarded tasks whose agents were struck, by what they and their actuators wrote: no agent is asked."""
+"""Judge guarded tasks under faults by the files of the tasks and their actuators, without asking the agents."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 STOPS: Final = ("short stop", "long stop")
-"""A process that is stopped between its look at the clock and the act does that one act late."""
+"""The faults that stop a process: if it stops between its look at the clock and an act, that act is late."""
 
 
 class Trace(NamedTuple):
     """A line of an agent, or of its actuator.
 
     Attributes:
-        epoch: the epoch under which it acted, and the agent that has minted it.
-        at_ns: when, on the clock that all processes of a machine share.
+        epoch: the epoch of the act, and the agent that made that epoch.
+        at_ns: the time, on the clock that all processes of a machine share.
     """
 
     epoch: tuple[int, str]
@@ -25,7 +25,7 @@ class Trace(NamedTuple):
 
 
 class Traces:
-    """A file of acts, or of commands: one that is under an epoch that has passed is late.
+    """A file of acts or of commands; an act with an epoch that has passed is late.
 
     Args:
         path: the file; it need not exist yet.
@@ -38,7 +38,7 @@ class Traces:
         self._before = False
 
     def read(self, tally: TakeoverTally) -> list[Trace]:
-        """Judges the lines that have come since it was read last, and returns them."""
+        """Judge the new lines, and return them."""
         found = []
         for line in _lines(self.path, self._read):
             self._read += len(line)
@@ -54,13 +54,13 @@ class Traces:
 
 
 class Heard:
-    """The file of the packets that the task has heard: each has its effect once in the state that goes on.
+    """The file of the packets that the task has handled: each must have its effect once in the state that continues.
 
     Args:
-        path: the file, of lines with the number of a packet and of the one that the state held before.
+        path: the file; each line has the number of a packet, and the number that the state had before.
 
     Attributes:
-        newest: the highest number that was heard.
+        newest: the highest number that was handled.
     """
 
     def __init__(self, path: Path) -> None:
@@ -69,7 +69,7 @@ class Heard:
         self.newest = 0
 
     def read(self, tally: TakeoverTally) -> None:
-        """Judges the lines that have come since it was read last."""
+        """Judge the new lines."""
         for line in _lines(self._path, self._read):
             self._read += len(line)
             number, before = map(int, line.split())
@@ -85,21 +85,21 @@ class Heard:
 
 @dataclass
 class TakeoverTally:
-    """What happened.
+    """The tally of all cases.
 
     Attributes:
-        faults: how many of each kind.
+        faults: the number of faults of each kind.
         meanwhile: how many of them during a hand-off or a take-over.
         acts: the acts of the task and the commands that actuators obeyed, of both.
-        late: how many of them were under an epoch that had passed.
-        doubled: how often two such, or more, followed each other.
+        late: how many of them had an epoch that had passed.
+        doubled: how often two or more late ones followed each other.
         packets: how many packets had their effect.
         wrong: a sentence for each packet that had its effect twice, or never.
         standstills: a sentence for each time that no agent acted for too long.
-        killed_s: from each kill of the owner alone to the first command from another agent, in seconds.
-        ended_s: the same where the owner said goodbye.
+        killed_s: from each kill of only the owner to the first command from another agent, in seconds.
+        ended_s: the same if the owner said goodbye.
         stood_s: the same for owners that were stopped or cut off.
-        returned_s: from the start of an owner that was killed to its own first command, where no other took the task.
+        returned_s: from the restart of a killed owner to its own first command, if no other agent took over.
     """
 
     faults: Counter[str] = field(default_factory=Counter)
@@ -116,12 +116,12 @@ class TakeoverTally:
     returned_s: list[float] = field(default_factory=list)
 
     def add(self, other: TakeoverTally) -> None:
-        """Adds what happened in another fleet, or at another time."""
+        """Add the tally of another fleet or run."""
         for name, value in vars(other).items():
             setattr(self, name, getattr(self, name) + value)
 
     def told(self) -> list[str]:
-        """Returns it as lines."""
+        """Return the tally as lines."""
         kinds = ", ".join(f"{count} {kind}" for kind, count in sorted(self.faults.items()))
         return [
             f"{self.faults.total()} faults, {self.meanwhile} of them during hand-offs and take-overs: {kinds}",
@@ -135,7 +135,7 @@ class TakeoverTally:
         ]
 
     def failures(self, kinds: tuple[str, ...]) -> list[str]:
-        """Returns a sentence for each thing that is not as it must be; `kinds`: those that must have been reached."""
+        """Return a sentence for each failure; `kinds`: the kinds of faults that must have occurred."""
         found = [*self.wrong, *self.standstills]
         if self.doubled:
             found.append(f"{self.doubled} times two acts, or more, followed each other under an epoch that had passed")
@@ -148,17 +148,17 @@ class TakeoverTally:
         return found
 
     def figures(self) -> dict[str, Any]:
-        """Returns it as plain values."""
+        """Return the tally as plain values."""
         return {**vars(self), "faults": dict(self.faults)}
 
     @classmethod
     def of(cls, figures: dict[str, Any]) -> TakeoverTally:
-        """Returns what `figures` returned."""
+        """Make a tally of the plain values of `figures`."""
         return cls(**{**figures, "faults": Counter(figures["faults"])})
 
 
 def percentile(values: list[float], percent: float) -> float:
-    """Returns the value that so many of a hundred do not exceed; nan of none."""
+    """Return a percentile; nan if there are no values."""
     ordered = sorted(values)
     return ordered[max(0, math.ceil(len(ordered) * percent / 100) - 1)] if ordered else math.nan
 
@@ -171,7 +171,7 @@ def _spread(values: list[float]) -> str:
 
 
 def _lines(path: Path, since: int) -> list[bytes]:
-    """Returns the whole lines of a file after a byte."""
+    """Return the complete lines of a file after an offset."""
     if not path.exists():
         return []
     with path.open("rb") as file:

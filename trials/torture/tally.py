@@ -1,4 +1,4 @@
-"""What became of tasks whose agents were killed, by what the tasks have written themselves: no agent is asked."""
+"""Judge tasks whose agents were killed by the tasks' own files, without asking the agents."""
 
 from __future__ import annotations
 
@@ -10,23 +10,23 @@ from pathlib import Path
 
 @dataclass
 class Tally:
-    """What happened.
+    """The tally of all kills.
 
     Attributes:
         kills: how many agents were killed.
-        moves: how many hand-overs have come to an end with a task at its new agent, by the tasks' own files.
-        asked: how many moves were answered with success to whoever asked.
-        ticks: how often the tasks have worked.
-        doubled: a sentence for each time that a task ran beside itself.
-        lost: a sentence for each time that a task did not run after all was well again.
-        backwards: a sentence for each time that a task ran under an epoch that had passed.
-        worst_step_back: by how many ticks a task was set back by a crash, at most.
-        longest_no_disk_s: for how long a trap has kept an agent from writing anything, at most.
+        moves: how many migrations succeeded, by the tasks' own files.
+        asked: how many requested migrations were answered with success.
+        ticks: how often the tasks ticked.
+        doubled: a sentence for each time that a task ran twice at once.
+        lost: a sentence for each task that did not run after the recovery.
+        backwards: a sentence for each time that a task ran with an epoch that had passed.
+        worst_step_back: the most ticks that a task lost in a crash.
+        longest_no_disk_s: the longest time that a trap kept an agent from writing.
         packets: how many packets to tasks had their effect.
         points: how many agents were killed at each point between effects, by its name.
-        roads: how often what leads from agent to agent has failed, by how.
-        missed: a sentence for each point that no agent came to.
-        heals_s: how long each healing took.
+        roads: how often connections failed, by kind.
+        missed: a sentence for each point that no agent reached.
+        heals_s: how long each recovery took.
     """
 
     kills: int = 0
@@ -45,7 +45,7 @@ class Tally:
     heals_s: list[float] = field(default_factory=list)
 
     def add(self, other: Tally) -> None:
-        """Adds what happened to another fleet."""
+        """Add the tally of another fleet."""
         self.kills += other.kills
         self.moves += other.moves
         self.asked += other.asked
@@ -62,7 +62,7 @@ class Tally:
         self.heals_s += other.heals_s
 
     def count(self, directory: Path, durability: Mapping[str, str]) -> None:
-        """Reads what tasks have written.
+        """Read the files of the tasks.
 
         Args:
             directory: of their files: `NAME.count` has a line for each tick, with its number, the epoch, the agent and
@@ -86,13 +86,13 @@ class Tally:
                 self.packets += 1
                 if number <= before:
                     self.doubled.append(f"{task} heard packet {number} although its state held {before}")
-                # What a `lazy` task has acknowledged since its last checkpoint does not come again.
+                # Packets that a `lazy` task acknowledged after its last checkpoint do not come again.
                 elif number > before + 1 and kind == "each":
                     self.lost.append(f"{task} heard packet {number} while its state held {before}")
 
 
 def total(tallies: Iterable[Tally]) -> Tally:
-    """Returns what happened to several fleets."""
+    """Return the tally of several fleets."""
     whole = Tally()
     for tally in tallies:
         whole.add(tally)

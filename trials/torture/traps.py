@@ -1,4 +1,4 @@
-"""Kills a real agent at a named point: watches what agents say to each other, and what they write."""
+"""Kill a real agent at a named point, found by watching the packets between agents and their files."""
 
 from __future__ import annotations
 
@@ -20,22 +20,22 @@ from pancakes.durable.record import TaskId
 from pancakes.packet import agent_of
 
 LOOK_S = 0.0005
-"""How often it is looked at what nobody announces: a file that is replaced, a write that ends."""
+"""How often files are checked for changes, in seconds."""
 GATE_S = 0.002
-"""How often it is looked whether the victim has cleared a gate away."""
+"""How often to check whether the victim has removed a gate, in seconds."""
 _never = threading.Event()
 
 
 @dataclass(frozen=True)
 class Field:
-    """Where a trap is laid.
+    """The files and functions that a trap needs.
 
     Attributes:
-        task_id: the task whose hand-over is meant.
-        state: the directory that holds the agents' state directories, by their names.
+        task_id: the task of the hand-off.
+        state: the directory with the agents' state directories, by their names.
         gates: the directory in which the task looks for gates.
         kill: kills an agent, at once.
-        waits: those of a trap for its victim.
+        waits: the waits of a trap for its victim.
     """
 
     task_id: TaskId
@@ -49,12 +49,12 @@ class Trap:
     """Kills one agent at one point.
 
     Args:
-        point: which.
-        field: where.
-        victim: whom, where the point itself does not say so: where it has no word, or the agent was there before.
+        point: the point.
+        field: its files and functions.
+        victim: the agent to kill, if the point does not determine it.
 
     Attributes:
-        no_disk_s: how long its gate has kept the victim from writing anything.
+        no_disk_s: how long its gate has kept the victim from writing.
     """
 
     def __init__(self, point: Point, field: Field, victim: str = "") -> None:
@@ -70,7 +70,7 @@ class Trap:
         self.no_disk_s = 0.0
 
     def begin(self, start: Callable[[str], None] | None = None) -> None:
-        """Lays the trap where its point has no word: there is nothing to wait for.
+        """Lay the trap at once, if its point begins with no packet.
 
         Args:
             start: starts the victim, which is dead; None: it runs.
@@ -86,14 +86,14 @@ class Trap:
             self._lay(victim)
         if start is not None:
             start(victim)
-            # It opens its journal, and clears it up, before it looks at its tasks.
+            # An agent opens and cleans its journal before it reads its tasks.
             if not gated and not self.point.word:
                 self._field.waits.until(lambda for_s: _is_replaced(identity, boot), math.inf)
         if not gated and not self.point.word:
             self._lay(victim)
 
     def watch(self, row: list[Any]) -> Verdict:
-        """Is shown each packet from one agent to another, and says what becomes of it. Any thread."""
+        """Watch a packet between two agents, and return what to do with it. Any thread."""
         sender, receiver = agent_of(row[2]), agent_of(row[3])
         with self._lock:
             if sender == self._dead:
@@ -115,7 +115,7 @@ class Trap:
             return lost
 
     def spring(self, timeout_s: float) -> str:
-        """Waits until the point is reached, and kills the agent there; returns its name, or nothing: nobody came.
+        """Wait until the point is reached, and kill the agent there; return its name, or an empty string if none came.
 
         Raises:
             InterruptedError: its waits were broken off.
@@ -140,11 +140,11 @@ class Trap:
 
     @property
     def dead(self) -> str:
-        """Who was killed, also where it was not at the point."""
+        """The agent that was killed, even if it was not at the point."""
         return self._dead
 
     def clear(self) -> None:
-        """Takes the gate away. The trap is not shown anything any more."""
+        """Remove the gate. Afterwards the trap must not be shown any packets."""
         with self._lock:
             self._set.set()
             if self._gate is not None:
@@ -154,7 +154,7 @@ class Trap:
                 self._gate = None
 
     def _stands_in_the_write(self, for_s: float) -> bool:
-        """Waits until the victim stands in the write that is meant; another one fails, and is made again."""
+        """Wait until the victim blocks in the intended write; any other write fails and is repeated."""
         gate = self._gate
         assert isinstance(gate, WriteGate)
         if gate.reached(min(for_s, GATE_S)):
@@ -172,7 +172,7 @@ class Trap:
         return told in (list(self._field.task_id), str(self._field.task_id))
 
     def _lay(self, victim: str) -> None:
-        """Lays a gate in an agent's way, or looks at what it has written so far."""
+        """Put a gate in an agent's way, or look at its present files."""
         field = self._field
         self._victim = victim
         match self.point.how:
@@ -187,14 +187,14 @@ class Trap:
 
 
 def _is_replaced(path: Path, before: int | None) -> bool:
-    """Returns whether a file has been replaced; where it has not, after a moment in which it might have been."""
+    """Return whether a file has been replaced; if not, wait a moment first."""
     if file_number(path) == before:
         _never.wait(LOOK_S)
     return file_number(path) != before
 
 
 def _is_written(record: RecordWatch, for_s: float) -> bool:
-    """Returns whether a record was written; where it was not, after a moment in which it might have been."""
+    """Return whether a record was written; if not, wait a moment first."""
     if not record.written():
         _never.wait(LOOK_S)
     return record.written()

@@ -1,4 +1,4 @@
-"""Waits in the threads of a run, which whoever ends the run breaks off: an interrupt comes to the main thread alone."""
+"""Waits in the threads of a run that can be broken off, because an interrupt reaches only the main thread."""
 
 from __future__ import annotations
 
@@ -8,29 +8,29 @@ from collections.abc import Callable
 from typing import Final
 
 LOOK_S: Final = 0.05
-"""So soon a wait for something ends that is broken off."""
+"""How soon a broken-off wait ends, in seconds."""
 
 
 class Waits:
     """The waits of all threads of one run. Any thread.
 
-    Once they are broken off, each of them raises `InterruptedError`, those to come as well.
+    After they are broken off, all present and future waits raise `InterruptedError`.
     """
 
     def __init__(self) -> None:
         self._broken_off = threading.Event()
 
     def break_off(self) -> None:
-        """Ends all waits."""
+        """End all waits."""
         self._broken_off.set()
 
     def let(self, for_s: float) -> None:
-        """Lets so much time pass."""
+        """Let some time pass."""
         if self._broken_off.wait(for_s):
             raise InterruptedError("the run was broken off")
 
     def until(self, comes: Callable[[float], bool], within_s: float) -> bool:
-        """Waits until something comes; returns whether it did.
+        """Wait until something happens; return whether it did.
 
         Args:
             comes: waits for it, for as long as it is told or shorter, and returns whether it has come.

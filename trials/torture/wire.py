@@ -1,4 +1,4 @@
-"""The wire between network namespaces: what goes from one to the other passes here, is late, is lost, or is cut off."""
+"""The wire between network namespaces: it passes, delays, loses or cuts off their packets."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ import time
 from dataclasses import dataclass, field
 
 QUEUE = 20_000
-"""So many packets are on their way at once, at most; what comes then is lost, as in any queue that is full."""
+"""The most packets on their way at once; further ones are lost, as in any full queue."""
 _PACKET_BYTES = 65_535
 
 
 @dataclass
 class Link:
-    """The stretch between two namespaces. Changed in any thread, read by the wire's.
+    """The part of the wire between two namespaces. Any thread may change it; the wire's thread reads it.
 
     Attributes:
         delay_s: how much later each IP packet arrives, each way.
         loss: the share of IP packets that never arrive.
-        cut: set once the link has been cut by a word.
+        cut: set once the link has been cut by `cut_at`.
         lost: how many packets did not arrive.
     """
 
@@ -35,20 +35,20 @@ class Link:
     _word: bytes = b""
 
     def cut_at(self, word: str) -> None:
-        """Cuts the link when the next packet of this type is on its way: nothing arrives from then on, either way.
+        """Cut the link when the next packet of this type is on its way: from then on, nothing arrives, either way.
 
         Nobody is told: no connection is reset, and who died does not say so.
         """
         text = word.encode()
-        # As msgpack has it, its length first: `reserve` is not to be found in `reserved`.
+        # With the length first, as in msgpack, so that `reserve` is not found in `reserved`.
         self._word = bytes((0xA0 | len(text),)) + text
 
     def heal(self) -> None:
-        """Lets the two reach each other again."""
+        """Restore the link."""
         self._open = True
 
     def passes(self, packet: bytes, draw: random.Random) -> bool:
-        """Says whether an IP packet arrives. In the wire's thread."""
+        """Return whether an IP packet arrives. In the wire's thread."""
         if self._word and self._word in packet:
             self._word, self._open = b"", False
             self.cut.set()
@@ -59,10 +59,10 @@ class Link:
 
 
 class Wire:
-    """Carries IP packets between devices, in a thread of its own.
+    """Forwards IP packets between devices, in a thread of its own.
 
     Args:
-        seed: draws which are lost.
+        seed: the seed of the lost packets.
     """
 
     def __init__(self, seed: int = 0) -> None:
@@ -77,12 +77,12 @@ class Wire:
         self._thread.start()
 
     def attach(self, host: str, device: int) -> None:
-        """Lets the packets of a TUN device go to all others; the device is the wire's from now on."""
+        """Connect a TUN device to all others; the wire owns the device from now on."""
         self._devices[socket.inet_aton(host)] = device
         self._poll.register(device, select.EPOLLIN)
 
     def link(self, one: str, other: str) -> Link:
-        """Returns the stretch between two addresses, the same for both ways; packets pass at once until it is made."""
+        """Return the part between two addresses, the same for both ways; without one, packets pass at once."""
         ends = socket.inet_aton(one), socket.inet_aton(other)
         link = self._links.get(ends)
         if link is None:
@@ -90,7 +90,7 @@ class Wire:
         return link
 
     def close(self) -> None:
-        """Ends it, and removes the devices. A second time does nothing."""
+        """End the wire, and remove the devices. A second call does nothing."""
         if self._ended:
             return
         self._ended = True
@@ -124,12 +124,12 @@ class Wire:
         if device is not None:
             try:
                 os.write(device, packet)
-            except OSError:  # its queue is full, or it is not up yet: lost
+            except OSError:  # the queue is full or the device is not up yet: the packet is lost
                 pass
 
 
 def _packets(device: int) -> list[bytes]:
-    """Reads the IPv4 packets that wait, some of them where there are many: the other devices want their turn."""
+    """Read some of the waiting IPv4 packets, so that the other devices get their turn, too."""
     packets = []
     for _ in range(64):
         try:
