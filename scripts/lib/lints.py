@@ -1,10 +1,10 @@
-"""Checks the source for faults that ruff, mypy and import-linter do not find. `scripts/check` runs it.
+"""Check the source for faults that ruff, mypy and import-linter do not find. `scripts/check` runs it.
 
     python scripts/lib/lints.py
 
 It prints a line for each finding and ends with 1 if there are any. Each file is parsed once. A lint is a function from
 the parsed files to its findings, and its docstring says why the rule matters. Exceptions are listed beside their lint,
-each with its reason. An exception that excuses nothing any more is a finding, too.
+each with its reason. An exception that no longer excuses anything is a finding, too.
 """
 
 from __future__ import annotations
@@ -58,12 +58,12 @@ class Source:
             self._nodes[type(node)].append(node)
 
     def all(self, kind: type) -> list[Any]:
-        """Returns all nodes of a kind, nested ones too."""
+        """Return all nodes of a kind, nested ones too."""
         return self._nodes[kind]
 
 
 def main(root: Path = ROOT) -> int:
-    """Prints the findings and returns the exit code."""
+    """Print the findings, and return the exit code."""
     found = sorted(findings(read(root), layers_in(root / "setup.cfg")))
     for finding in found:
         print(finding)
@@ -71,13 +71,13 @@ def main(root: Path = ROOT) -> int:
 
 
 def read(root: Path) -> list[Source]:
-    """Parses all Python files of the product and its tests."""
+    """Parse all Python files of the product and its tests."""
     paths = [path for folder in PRODUCT + TESTS for path in sorted((root / folder).rglob("*.py"))]
     return [Source(path.relative_to(root).as_posix(), path.read_text(encoding="utf-8")) for path in paths]
 
 
 def findings(sources: Collection[Source], layers: Collection[str]) -> Iterator[Finding]:
-    """Runs all lints."""
+    """Run all lints."""
     product = [source for source in sources if source.path.startswith(PRODUCT)]
     tests = [source for source in sources if source.path.startswith(TESTS)]
     yield from excused(asked_for_their_type(product), MAY_ASK)
@@ -88,7 +88,7 @@ def findings(sources: Collection[Source], layers: Collection[str]) -> Iterator[F
 
 
 def excused(found: Iterable[Finding], exceptions: Mapping[str, str]) -> Iterator[Finding]:
-    """Yields the findings that have no exception, and one for each exception without a finding."""
+    """Yield the findings without an exception, and a finding for each exception that excuses nothing."""
     unused = set(exceptions)
     for finding in found:
         unused.discard(finding.subject)
@@ -112,7 +112,7 @@ MAY_ASK = {
 
 
 def asked_for_their_type(sources: Collection[Source]) -> Iterator[Finding]:
-    """Finds `isinstance` and `case` with the class of an actor.
+    """Find `isinstance` and `case` with the class of an actor.
 
     One actor knows another as a `Reference`, which has no state, so mypy finds a read of any other attribute. After
     `isinstance(it, Task)` mypy allows it: a data race, as the other actor may run on another thread.
@@ -127,7 +127,7 @@ def asked_for_their_type(sources: Collection[Source]) -> Iterator[Finding]:
 
 
 def class_names(types: ast.expr) -> set[str]:
-    """Returns the names in the second argument of `isinstance`; a class of a module or of a class is left out."""
+    """Return the names in the second argument of `isinstance`, without dotted names."""
     if isinstance(types, ast.Tuple):
         return {name for part in types.elts for name in class_names(part)}
     if isinstance(types, ast.BinOp):
@@ -136,7 +136,7 @@ def class_names(types: ast.expr) -> set[str]:
 
 
 def actor_classes(sources: Iterable[Source]) -> set[str]:
-    """Returns the names of all classes below `Component`."""
+    """Return the names of all classes below `Component`."""
     bases = [
         (cls.name, {last_name(base.value if isinstance(base, ast.Subscript) else base) for base in cls.bases})
         for source in sources
@@ -149,9 +149,9 @@ def actor_classes(sources: Iterable[Source]) -> set[str]:
 
 
 def told_functions(sources: Collection[Source]) -> Iterator[Finding]:
-    """Finds functions in messages between actors.
+    """Find functions in messages between actors.
 
-    The receiver would call such a function on its own thread, while the sender goes on with the variables that the
+    The receiver would call such a function on its own thread, while the sender continues to use the variables that the
     function has captured.
     """
     messages = set()
@@ -161,7 +161,7 @@ def told_functions(sources: Collection[Source]) -> Iterator[Finding]:
                 continue
             for node in ast.walk(call.args[1]):
                 if isinstance(node, ast.Lambda) or last_name(node) == "partial":
-                    yield Finding(source.path, node.lineno, "tells an actor a function: a message is data")
+                    yield Finding(source.path, node.lineno, "tells an actor a function: send data instead")
                 elif isinstance(node, ast.Call):
                     messages.add(called(node))
     for source in sources:
@@ -169,12 +169,12 @@ def told_functions(sources: Collection[Source]) -> Iterator[Finding]:
             fields = [node for node in cls.body if isinstance(node, ast.AnnAssign)] if cls.name in messages else []
             for field in fields:
                 if any(last_name(node) == "Callable" for node in ast.walk(field.annotation)):
-                    text = f"{cls.name} is told to actors and has a function in it: a message is data"
+                    text = f"{cls.name} is a message to actors and has a function as field: send data instead"
                     yield Finding(source.path, field.lineno, text)
 
 
 def is_tell(call: ast.Call) -> bool:
-    """Returns whether a call is `tell(actor, message)` or `kernel.tell(path, message)`."""
+    """Return whether a call is `tell(actor, message)` or `kernel.tell(path, message)`."""
     function = call.func
     of_kernel = isinstance(function, ast.Attribute) and last_name(function.value).lstrip("_") == "kernel"
     return called(call) == "tell" and (of_kernel or isinstance(function, ast.Name)) and len(call.args) == 2
@@ -186,7 +186,7 @@ SHARED = tuple(
     f"pancakes/{package}/"
     for package in ("agent", "config", "durable", "journal", "kernel", "services", "supervision", "util")
 ) + ("pancakes/service.py", "pancakes/task.py")
-"""Where the tables are that actors share."""
+"""The packages with tables that actors share."""
 
 MAY_CALL = {
     "pancakes/durable/host_state.py: self._reservations": "a table that this lock guards",
@@ -199,18 +199,18 @@ MAY_CALL = {
     "pancakes/kernel/stream.py: mailbox": "the subscriptions of the mailbox, which this lock guards",
     "pancakes/kernel/stream.py: reader": "the subscriptions of the mailbox, which this lock guards",
 }
-"""What may be called under a lock, as `file: object`, and what that is."""
+"""The objects that may be called under a lock, as `file: object`, and what they are."""
 
 KINDS = (list, dict, set, deque, threading.Condition, type(threading.Lock()))
 HARMLESS = {name for kind in KINDS for name in dir(kind)} | {"endswith", "is_set", "join", "startswith"}
-"""The methods of containers, locks and strings, which call nothing back."""
+"""The methods of containers, locks and strings: they call nothing back."""
 
 
 def called_under_a_lock(sources: Iterable[Source]) -> Iterator[Finding]:
-    """Finds calls of other objects in a `with` block of a lock, in the tables that actors share.
+    """Find calls of other objects in a `with` block of a lock, in the tables that actors share.
 
-    What is called may take another lock, or call back. So two threads that take two locks in opposite order would wait
-    for each other for ever, and a slow call would stop all actors that want the table.
+    The called object may take another lock, or call back. Then two threads that take two locks in opposite order would
+    wait for each other for ever, and a slow call would block all actors that need the table.
     """
     for source in sources:
         if not source.path.startswith(SHARED):
@@ -226,7 +226,7 @@ def called_under_a_lock(sources: Iterable[Source]) -> Iterator[Finding]:
 
 
 def is_foreign(call: ast.Call) -> bool:
-    """Returns whether a call goes to more than a container, a class, a builtin, or a private method of its object."""
+    """Return whether a call may run other code: it is not of a container, a class, a builtin or a private method."""
     if isinstance(call.func, ast.Attribute):
         own = last_name(call.func.value) == "self" and call.func.attr.startswith("_")
         return not own and call.func.attr not in HARMLESS
@@ -238,7 +238,7 @@ def is_foreign(call: ast.Call) -> bool:
 
 
 def outside_of_layers(sources: Iterable[Source], layers: Collection[str]) -> Iterator[Finding]:
-    """Finds modules that are in no layer of `setup.cfg`.
+    """Find modules that are in no layer of `setup.cfg`.
 
     import-linter checks only the modules that its layers name, so such a module could import anything.
     """
@@ -251,13 +251,13 @@ def outside_of_layers(sources: Iterable[Source], layers: Collection[str]) -> Ite
 
 
 def module_of(path: str) -> str:
-    """Returns the name of the module in a file."""
+    """Return the name of the module in a file."""
     parts = path.removesuffix(".py").split("/")
     return ".".join(parts[2:] if parts[0] == "plugins" else parts)
 
 
 def layers_in(setup: Path) -> list[str]:
-    """Returns the packages and modules that the layers of import-linter name."""
+    """Return the packages and modules that the layers of import-linter name."""
     parser = ConfigParser()
     parser.read(setup, encoding="utf-8")
     return parser["importlinter:contract:layers"]["layers"].replace("|", " ").replace(":", " ").split()
@@ -269,10 +269,10 @@ BY_NAME = ("setattr", "getattr", "hasattr", "delattr")
 
 
 def private_names(sources: Iterable[Source]) -> Iterator[Finding]:
-    """Finds tests that import a private name, or name a private attribute in a string.
+    """Find tests that import a private name, or name a private attribute in a string.
 
-    A test of what is private fails when the code is rearranged, and passes when a public path is broken. ruff's SLF001
-    finds `it._private`, and these not.
+    A test of a private name fails when the code is rearranged, and may pass when a public path is broken. ruff's SLF001
+    finds `it._private`, but not these.
     """
     for source in sources:
         named = [(node.lineno, alias.name) for node in source.all(ast.ImportFrom) for alias in node.names]
@@ -282,22 +282,22 @@ def private_names(sources: Iterable[Source]) -> Iterator[Finding]:
                 named += [(call.lineno, text.rpartition(".")[2]) for text in texts if isinstance(text, str)]
         for line, name in named:
             if name.startswith("_") and not name.startswith("__"):
-                yield Finding(source.path, line, f"names {name}, which is private: test what can be seen from outside")
+                yield Finding(source.path, line, f"names {name}, which is private: test what is visible from outside")
 
 
 # Nodes ---------------------------------------------------------------------------------------------------------------
 
 
 def called(call: ast.Call) -> str:
-    """Returns the name of what is called, without the object or module that it belongs to."""
+    """Return the name of the called function, without its object or module."""
     return last_name(call.func)
 
 
 def last_name(node: ast.AST) -> str:
-    """Returns the last part of a dotted name; empty: the node is something else."""
+    """Return the last part of a dotted name; empty: the node is something else."""
     return node.id if isinstance(node, ast.Name) else node.attr if isinstance(node, ast.Attribute) else ""
 
 
 if __name__ == "__main__":
-    gc.disable()  # all trees stay until the end: to look through them again and again takes longer than to parse them
+    gc.disable()  # all trees stay until the end, and scanning them again and again takes longer than parsing them
     sys.exit(main())

@@ -1,9 +1,9 @@
-"""Draws random mutants of an area, runs the area's own quick tests against each, and shows those that survive.
+"""Draw random mutants of an area, run the area's own quick tests against each, and show those that survive.
 
-cosmic-ray makes the mutants. A site (a place in a file, with a kind of change) is drawn first, then one of the changes
-that are possible there; annotations of types are left alone, and `frozen`: mypy sees to them. The tests run once
-without a mutant, to find out which lines each of them touches. For a mutant only those that touch its line run, the
-quickest first, until one fails. A run that takes too long counts as killed.
+cosmic-ray makes the mutants. A site (a place in a file, with a kind of change) is drawn first, then one of its possible
+changes. Type annotations and `frozen` are not changed, because mypy checks them. The tests run once without a mutant,
+to find the lines that each of them runs. For a mutant, only the tests that run its line are run, the quickest first,
+until one fails. A run that takes too long counts as killed.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ ROOT = Path(__file__).resolve().parents[2]
 TABLE = ROOT / "scripts" / "lib" / "mutants.toml"
 KILLED, TOO_LONG, SURVIVES = "killed", "killed, as it took too long", "SURVIVES"
 NO_TESTS = 5
-"""The exit code of pytest where it found no test."""
+"""The exit code of pytest if it found no test."""
 MEMORY_BYTES = 6 * 1024**3
-"""A mutant that allocates without end fails at this size."""
+"""The memory limit, for mutants that allocate without end."""
 
 
 @dataclass(frozen=True)
@@ -57,23 +57,23 @@ class Mutant:
     after: str
 
     def change(self) -> tuple[str, str]:
-        """Returns the lines that the change removes and those that it adds, without the space around them."""
+        """Return the lines that the change removes and those that it adds, without the space around them."""
         lines = list(difflib.ndiff(self.before.splitlines(), self.after.splitlines()))
         removed, added = ([line[2:].strip() for line in lines if line.startswith(mark)] for mark in ("- ", "+ "))
         return " ".join(filter(None, removed)), " ".join(filter(None, added))
 
     def diff(self) -> str:
-        """Returns the change as a unified diff."""
+        """Return the change as a unified diff."""
         before, after = self.before.splitlines(), self.after.splitlines()
         return "\n".join(difflib.unified_diff(before, after, self.file, f"{self.file} (mutant)", lineterm="", n=2))
 
 
 @dataclass
 class Trace:
-    """What one test touches.
+    """The lines that one test runs.
 
     Attributes:
-        test: pytest's name of it.
+        test: its name in pytest.
         seconds: how long it takes.
         lines: the lines that it runs, by file.
     """
@@ -85,7 +85,7 @@ class Trace:
 
 @dataclass(frozen=True)
 class Equal:
-    """A mutant that does the same as the original."""
+    """A mutant that is equivalent to the original."""
 
     file: str
     before: str
@@ -93,7 +93,7 @@ class Equal:
     why: str
 
     def is_of(self, mutant: Mutant) -> bool:
-        """Returns whether a mutant is this one."""
+        """Return whether a mutant is this one."""
         return (self.file, self.before, self.after) == (mutant.file, *mutant.change())
 
 
@@ -101,7 +101,7 @@ class Equal:
 
 
 def python_files(root: Path, places: Iterable[str]) -> list[str]:
-    """Returns the Python files at some places below the root; a place may be a file, a folder, or not there."""
+    """Return the Python files at some places below the root: files or folders; missing ones are skipped."""
     found: list[str] = []
     for place in places:
         path = root / place
@@ -111,10 +111,10 @@ def python_files(root: Path, places: Iterable[str]) -> list[str]:
 
 
 def left_to_mypy(text: str) -> list[tuple[tuple[int, int], tuple[int, int]]]:
-    """Returns where a module says what mypy reads: annotations, and whether a class is `frozen`.
+    """Return the parts of a module that mypy checks: annotations, and whether a class is `frozen`.
 
     Returns:
-        Where each begins and ends, as (line, column).
+        The beginning and end of each, as (line, column).
     """
     nodes: list[ast.expr | None] = []
     for node in ast.walk(ast.parse(text)):
@@ -132,7 +132,7 @@ def left_to_mypy(text: str) -> list[tuple[tuple[int, int], tuple[int, int]]]:
 
 
 def draw(root: Path, files: Sequence[str], count: int, source: random.Random) -> list[Mutant]:
-    """Returns so many mutants of some files, all different; fewer where there are not so many."""
+    """Return at most `count` different mutants of some files."""
     from cosmic_ray.ast import ast_nodes, get_ast
     from cosmic_ray.mutating import mutate_code
     from cosmic_ray.plugins import get_operator, operator_names
@@ -164,10 +164,10 @@ def draw(root: Path, files: Sequence[str], count: int, source: random.Random) ->
 
 
 def tests_for(mutant: Mutant, traces: Sequence[Trace]) -> list[Trace]:
-    """Returns the tests that may notice a mutant, the quickest first.
+    """Return the tests that may notice a mutant, the quickest first.
 
-    These are the tests that run its line. A line that runs when its module is imported, in the first test that does so,
-    belongs to all tests that run anything of that module, and to those of a file that names it.
+    These are the tests that run its line. A line that runs at import runs only in the first test that imports it,
+    so it belongs to all tests that run any line of that module, and to the tests of a file that names it.
     """
     nodes = list(ast.walk(ast.parse(mutant.before)))
     bodies = [(node.body[0].lineno, node.end_lineno or 0) for node in nodes if isinstance(node, ast.FunctionDef)]
@@ -184,7 +184,7 @@ def tests_for(mutant: Mutant, traces: Sequence[Trace]) -> list[Trace]:
 
 @cache
 def names_module(test: str, file: str) -> bool:
-    """Returns whether the file of a test names the module in a file of the project."""
+    """Return whether the file of a test names the module in a file of the project."""
     path = ROOT / test.partition("::")[0]
     return path.is_file() and file.removesuffix(".py").replace("/", ".") in path.read_text(encoding="utf-8")
 
@@ -198,7 +198,7 @@ class Tree:
     Args:
         root: the project.
         place: an empty folder for the copy.
-        patience_s: so much longer than without a mutant the tests may take.
+        patience_s: how much longer than without a mutant the tests may take, in seconds.
     """
 
     def __init__(self, root: Path, place: Path, patience_s: float = 30.0) -> None:
@@ -223,7 +223,7 @@ class Tree:
         }
 
     def trace(self, test_file: str, sources: Sequence[str]) -> tuple[list[Trace], list[str]]:
-        """Runs a file of tests and returns what each touches, and the names of those that do not pass."""
+        """Run a file of tests; return the lines that each test runs, and the names of tests that fail."""
         self._notes.unlink(missing_ok=True)
         self._pytest([test_file], {"MUTANTS_SOURCES": ":".join(sources)}, None)
         if not self._notes.is_file():
@@ -238,7 +238,7 @@ class Tree:
         return list(traces.values()), notes["failed"]
 
     def verdict(self, mutant: Mutant, tests: Sequence[Trace]) -> str:
-        """Returns what some tests say of a mutant: `KILLED`, `TOO_LONG` or `SURVIVES`."""
+        """Return the verdict of some tests on a mutant: `KILLED`, `TOO_LONG` or `SURVIVES`."""
         file = self.root / mutant.file
         self._write(file, mutant.after)
         try:
@@ -253,12 +253,12 @@ class Tree:
 
     def _write(self, file: Path, text: str) -> None:
         file.write_text(text, encoding="utf-8")
-        # Two texts of one length that are written within a second look the same to Python's cache.
+        # Python's cache cannot tell two texts of the same length apart that are written within a second.
         for cached in (file.parent / "__pycache__").glob(f"{file.stem}.*.pyc"):
             cached.unlink()
 
     def _pytest(self, files: Sequence[str], orders: dict[str, str], limit_s: float | None) -> int | None:
-        """Runs pytest and returns its exit code, None where it took too long."""
+        """Run pytest; return its exit code, or None if it took too long."""
         orders = {"MUTANTS_NOTES": str(self._notes), **orders}
         orders_file = self._notes.with_name("orders.json")
         orders_file.write_text(json.dumps(orders))
@@ -281,20 +281,20 @@ class Tree:
             return None
         finally:
             try:
-                os.killpg(process.pid, signal.SIGKILL)  # also what a test left behind
+                os.killpg(process.pid, signal.SIGKILL)  # also processes that a test left behind
             except ProcessLookupError:
                 pass
             process.wait()
 
 
 def main() -> int:
-    """Draws, runs and tells; returns 1 where fewer than nine of ten mutants are killed."""
+    """Draw and judge mutants; return 1 if fewer than nine of ten are killed."""
     table = tomllib.loads(TABLE.read_text(encoding="utf-8"))
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n\n")[0])
     parser.add_argument("area", choices=table["areas"])
-    parser.add_argument("--count", type=int, default=100, help="how many mutants (default: 100)")
-    parser.add_argument("--seed", type=int, default=1, help="which mutants are drawn (default: 1)")
-    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="how many run at a time")
+    parser.add_argument("--count", type=int, default=100, help="number of mutants (default: 100)")
+    parser.add_argument("--seed", type=int, default=1, help="seed of the drawing (default: 1)")
+    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="number of parallel runs")
     options = parser.parse_args()
     area = table["areas"][options.area]
     sources, tests = python_files(ROOT, area["sources"]), python_files(ROOT, area["tests"])
@@ -326,7 +326,7 @@ def main() -> int:
         for found, failed in pool.map(trace, quick):
             traces.extend(found)
             for name in failed:
-                print(f"left out, as it fails without a mutant: {name}", flush=True)
+                print(f"skipped, because it fails without a mutant: {name}", flush=True)
         print(f"{len(traces)} tests, {len(mutants)} mutants of {options.area} (seed {options.seed})", flush=True)
         killed = same = 0
         for number, (mutant, verdict) in enumerate(zip(mutants, pool.map(judge, mutants), strict=True), 1):

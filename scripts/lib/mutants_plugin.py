@@ -1,4 +1,4 @@
-"""The part of scripts/mutants inside pytest: puts the tests in order, or notes which lines each of them runs."""
+"""The part of scripts/mutants inside pytest: order the tests, or record the lines that each of them runs."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ if _SOURCES:
     import coverage
 
     _COVERAGE = coverage.Coverage(data_file=None, include=_SOURCES)
-    # A file of tests may touch no line of the area.
+    # A file of tests may run no line of the area.
     _COVERAGE.set_option("run:disable_warnings", ["no-data-collected"])
     _COVERAGE.start()
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Leaves the tests that are asked for, in that order."""
+    """Select the requested tests, in the requested order."""
     if "MUTANTS_ORDER" in _ORDERS:
         place = {name: number for number, name in enumerate(json.loads(_ORDERS["MUTANTS_ORDER"]))}
         items[:] = sorted((it for it in items if it.nodeid in place), key=lambda it: place[it.nodeid])
@@ -33,21 +33,21 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_protocol(item: pytest.Item, nextitem: pytest.Item | None) -> Iterator[None]:
-    """Notes the lines that run from now on under this test."""
+    """Record the lines that run from now on under this test."""
     if _COVERAGE is not None:
         _COVERAGE.switch_context(item.nodeid)
     return (yield)
 
 
 def pytest_runtest_logreport(report: pytest.TestReport) -> None:
-    """Notes how long a test took, and whether it passed."""
+    """Record how long a test took, and whether it passed."""
     _SECONDS[report.nodeid] = _SECONDS.get(report.nodeid, 0.0) + report.duration
     if not report.passed:
         _FAILED.append(report.nodeid)
 
 
 def pytest_sessionfinish() -> None:
-    """Writes the notes."""
+    """Write the notes."""
     if _COVERAGE is None:
         return
     _COVERAGE.stop()

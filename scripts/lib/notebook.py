@@ -1,6 +1,6 @@
-"""Runs docs/simulation.ipynb in a kernel of its own, and keeps what its cells print.
+"""Run docs/simulation.ipynb in a kernel of its own, and save the output of its cells.
 
-With --check it writes nothing, names the cells that print something else now, and ends with 1. Pictures may differ.
+With --check it writes nothing, names the cells whose output has changed, and ends with 1. Pictures may differ.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ PATIENCE_S = 300
 
 
 def main() -> None:
-    """Runs it."""
+    """Run the notebook, and save or check it."""
     arguments = sys.argv[1:]
     if arguments not in ([], ["--check"]):
         print("usage: scripts/notebook [--check]", file=sys.stderr)
@@ -43,26 +43,26 @@ def main() -> None:
 
 
 def run(notebook: Any) -> Any:
-    """Returns the notebook as it is after a run from top to bottom, in an empty folder.
+    """Run the notebook from top to bottom in an empty folder, and return the result.
 
     Raises:
         CellExecutionError: a cell fails.
     """
     fresh = nbformat.from_dict(notebook)
     with tempfile.TemporaryDirectory(prefix="pancakes-notebook-") as folder:
-        # Its kernel talks by Unix sockets in that folder: no port is taken.
+        # Its kernel uses Unix sockets in that folder, and no port.
         config = Config(KernelManager={"transport": "ipc", "ip": f"{folder}/kernel"})
         client = NotebookClient(fresh, config=config, kernel_name="python3", timeout=PATIENCE_S, record_timing=False)
         client.execute(cwd=folder)
     for cell in fresh.cells:
         if cell.cell_type == "code":
             cell["outputs"] = joined(cell.outputs)
-    fresh.metadata.pop("language_info", None)  # the machine's Python version is no part of the page
+    fresh.metadata.pop("language_info", None)  # the machine's Python version does not belong in the page
     return fresh
 
 
 def joined(outputs: list[Any]) -> list[Any]:
-    """Returns what a cell printed, with one text of what came in several pieces."""
+    """Return the outputs of a cell, with consecutive pieces of text joined."""
     found: list[Any] = []
     for output in outputs:
         last = found[-1] if found else None
@@ -74,16 +74,16 @@ def joined(outputs: list[Any]) -> list[Any]:
 
 
 def differences(kept: Any, ran: Any) -> list[str]:
-    """Returns a text about each cell that prints something else than what was kept of it."""
+    """Return a text about each cell whose output differs from the saved one."""
     found = []
     for number, (before, after) in enumerate(zip(kept.cells, ran.cells, strict=True), 1):
-        if before.cell_type == "code" and said(before) != said(after):
-            found.append(f"cell {number} prints\n{said(after)}\nand not, as it was kept,\n{said(before)}")
+        if before.cell_type == "code" and text_of(before) != text_of(after):
+            found.append(f"cell {number} prints\n{text_of(after)}\ninstead of the saved\n{text_of(before)}")
     return found
 
 
-def said(cell: Any) -> str:
-    """Returns the text that a cell printed, its last value included."""
+def text_of(cell: Any) -> str:
+    """Return the text output of a cell, including its last value."""
     parts = []
     for output in cell.outputs:
         if output.output_type == "stream":

@@ -1,14 +1,14 @@
-"""Runs what the README tells its readers to type, so that it stays true. Needs nothing but Python, git and bash.
+"""Run the commands of the README, so that it stays true. Needs only Python, git and bash.
 
-Every fenced block whose info string is exactly `sh` is run, statement by statement, in one shell: what one block
-does, the next one finds. A block `sh background` is what the reader types in a terminal of its own: it goes on while
-the rest is run. A block `text output` says what the block before it prints: each of its lines must come, in this order,
-with others in between; `...` in a line stands for anything, and how many spaces there are does not count. For a
-background block it is waited for. A block with a file name behind its language (```python blink.py) is saved under
-that name first. All others are only shown.
+Every fenced block with exactly the info string `sh` is run, statement by statement, in one shell, so that a block can
+use the results of the block before. A block `sh background` is for a second terminal: it runs while the other blocks
+run. A block `text output` has the output of the block before it: each of its lines must be printed, in this order,
+possibly with others in between; `...` in a line matches anything, and the number of spaces does not matter. For a
+background block, the script waits for this output. A block with a file name after its language (```python blink.py) is
+first saved under that name. All other blocks are ignored.
 
-The shell stands in a fresh copy of the project (what git has, and what is new and not ignored), with a virtual
-environment of its own that is active, an empty home, and nothing on its standard input.
+The shell runs in a fresh copy of the project (the files in git, and new files that are not ignored), with an active
+virtual environment of its own, an empty home, and an empty standard input.
 """
 
 from __future__ import annotations
@@ -35,9 +35,9 @@ COMMANDS = "sh"
 BACKGROUND = "sh background"
 OUTPUT = "text output"
 AWAIT_S = 60.0
-"""How long a background command may take until it has printed what it is to print."""
+"""How long a background command may take to print its expected output, in seconds."""
 _DONE = "\x1e"
-"""What the shell prints before the number and the exit code of a statement that has ended; no program prints it."""
+"""The mark that the shell prints before the number and exit code of each statement; no program prints it."""
 
 
 @dataclass
@@ -51,12 +51,12 @@ class Block:
 
 @dataclass
 class Statement:
-    """One command, with all of its lines, and where it stands in the README.
+    """One command with all of its lines, and its line in the README.
 
     Attributes:
-        background: whether it goes on while the next ones run.
+        background: whether it runs while the next ones run.
         last: whether it is the last of its block.
-        output: what its block prints, if that is said and it is the last.
+        output: the expected output of its block, if the README has it and this is the last statement.
     """
 
     line: int
@@ -67,7 +67,7 @@ class Statement:
 
 
 def blocks(markdown: str) -> list[Block]:
-    """Returns the fenced blocks of a text."""
+    """Return the fenced blocks of a text."""
     found: list[Block] = []
     fence, indent = "", 0
     for number, line in enumerate(markdown.splitlines(), 1):
@@ -83,7 +83,7 @@ def blocks(markdown: str) -> list[Block]:
 
 
 def statements(block: Block) -> Iterator[Statement]:
-    """Cuts a block into statements: a here-document, a loop or a line that goes on stays in one piece."""
+    """Cut a block into statements; a here-document, a loop or a continued line stays in one piece."""
     gathered: list[str] = []
     start = block.line
     for number, line in enumerate(block.text.splitlines(), block.line):
@@ -100,7 +100,7 @@ def statements(block: Block) -> Iterator[Statement]:
 
 
 def commands(found: list[Block]) -> list[Statement]:
-    """Returns all statements to be run, each last one of a block with the output that the block is to print."""
+    """Return all statements to run; the last one of each block has the expected output of the block."""
     wanted: list[Statement] = []
     for block, after in zip(found, [*found[1:], Block("", 0, "")], strict=True):
         if block.info not in (COMMANDS, BACKGROUND):
@@ -116,7 +116,7 @@ def commands(found: list[Block]) -> list[Statement]:
 
 
 def missing(expected: str, printed: str) -> str:
-    """Returns the first line that was expected and did not come in its order; empty where all did."""
+    """Return the first expected line that was not printed, or not in order; empty if all were."""
     lines = iter([" ".join(line.split()) for line in printed.splitlines()])
     for line in expected.splitlines():
         words = " ".join(line.split())
@@ -129,19 +129,19 @@ def missing(expected: str, printed: str) -> str:
 
 
 def await_output(log: Path, expected: Path, limit_s: float) -> int:
-    """Waits until a background command has printed what it is to print; returns the exit code for that."""
+    """Wait until a background command has printed its expected output; return the exit code of the wait."""
     until_s = time.monotonic() + limit_s
     while lacking := missing(expected.read_text(), log.read_text(errors="replace")):
         if time.monotonic() > until_s:
             print(log.read_text(errors="replace"))
-            print(f"this line did not come within {limit_s:g} s: {lacking}")
+            print(f"this line was not printed within {limit_s:g} s: {lacking}")
             return 1
         time.sleep(0.05)
     return 0
 
 
 def is_whole(text: str) -> bool:
-    """Whether bash could run a text as it stands."""
+    """Return whether a text is a complete bash statement."""
     if text.endswith("\\"):
         return False
     checked = subprocess.run(["bash", "-n", "-c", text], stdin=subprocess.DEVNULL, capture_output=True)
@@ -149,7 +149,7 @@ def is_whole(text: str) -> bool:
 
 
 def copy_project(to: Path) -> None:
-    """Copies what a clone would have, and what would be added to it."""
+    """Copy the files that a clone would have, and new files that are not ignored."""
     listed = subprocess.run(
         ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"],
         cwd=ROOT,
@@ -164,7 +164,7 @@ def copy_project(to: Path) -> None:
 
 
 def script_of(all_statements: list[Statement], place: Path) -> str:
-    """Returns a bash script that runs statements and says after each how it ended."""
+    """Return a bash script that runs statements, and prints the exit code of each."""
     lines = []
     for number, statement in enumerate(all_statements):
         lines.append(_in_background(number, statement, place) if statement.background else statement.text)
@@ -182,7 +182,7 @@ def _in_background(number: int, statement: Statement, place: Path) -> str:
 
 
 def run(all_statements: list[Statement], name: str, copy: Path, place: Path, limit_s: float) -> list[str]:
-    """Runs statements, and returns a sentence for each one that failed."""
+    """Run statements, and return a sentence for each one that failed."""
     script = place / "readme.sh"
     script.write_text(script_of(all_statements, place))
     kept = {key: value for key, value in os.environ.items() if not key.startswith(("PANCAKES_", "PYTHON", "XDG_"))}
@@ -241,7 +241,7 @@ def run(all_statements: list[Statement], name: str, copy: Path, place: Path, lim
 
 
 class _Progress:
-    """Ends the shell's session where one statement takes too long."""
+    """Ends the shell's session if one statement takes too long."""
 
     def __init__(self, session: int, limit_s: float) -> None:
         self.is_late = False
@@ -252,11 +252,11 @@ class _Progress:
         threading.Thread(target=self._watch, daemon=True).start()
 
     def went_on(self) -> None:
-        """A statement has ended, and the next begins."""
+        """Restart the time limit for the next statement."""
         self._went_on.set()
 
     def end(self) -> None:
-        """All statements have ended."""
+        """Stop the time limit, after all statements."""
         self._ended = True
         self._went_on.set()
 
@@ -270,7 +270,7 @@ class _Progress:
 
 
 def _end_session(session: int) -> None:
-    """Ends the shell that we started, and what it left running in the background."""
+    """End the shell, and everything that it left running in the background."""
     for number in (signal.SIGTERM, signal.SIGKILL):
         try:
             os.killpg(session, number)
@@ -280,12 +280,12 @@ def _end_session(session: int) -> None:
 
 
 def main() -> None:
-    """Runs the commands of a README, and ends with 1 where one of them failed."""
+    """Run the commands of a README, and end with 1 if one of them failed."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("file", nargs="?", default="README.md", help="the text, in the project's root (README.md)")
-    parser.add_argument("--done", action="append", default=[], help="a command that was run already, so not here")
+    parser.add_argument("--done", action="append", default=[], help="a command to skip, because it was already run")
     parser.add_argument("--limit", type=float, default=600.0, help="most seconds for one command (600)")
-    parser.add_argument("--list", action="store_true", help="only show what would be run")
+    parser.add_argument("--list", action="store_true", help="only list the commands")
     parser.add_argument("--await", nargs=2, type=Path, dest="awaited", help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.awaited:

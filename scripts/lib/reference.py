@@ -1,6 +1,6 @@
-"""Writes docs/reference/ from the project itself: the configuration from its types, the verbs, the packet types.
+"""Write docs/reference/ from the project itself: the configuration, the verbs and the packet types.
 
-With --check it writes nothing, names the pages that are no longer current, and ends with 1.
+With --check it writes nothing, names the pages that are not current, and ends with 1.
 """
 
 from __future__ import annotations
@@ -47,12 +47,12 @@ SECTIONS = {
     "migrate = { ... }": MigrationRule,
 }
 IN_THE_HEADER = ("name",)
-"""What stands in the name of a table `[device.NAME]`, and is therefore no key in it."""
+"""The fields that are in the name of a table `[device.NAME]`, and so are not keys in it."""
 WORDS = {"number": "number", "integer": "integer", "string": "string", "boolean": "true or false", "null": "nothing"}
 
 
 def main() -> int:
-    """Writes or checks the pages."""
+    """Write or check the pages."""
     check = sys.argv[1:] == ["--check"]
     if sys.argv[1:] and not check:
         print("usage: scripts/reference [--check]", file=sys.stderr)
@@ -78,7 +78,7 @@ def _is(path: Path, text: str) -> bool:
 
 
 def configuration() -> str:
-    """Returns the page on all keys of a configuration, with the settings of what the core brings."""
+    """Return the page on all keys of a configuration, with the settings of Pancakes' own plug-ins."""
     parts = [
         "# The keys of a configuration\n",
         GENERATED,
@@ -106,7 +106,7 @@ def configuration() -> str:
 
 
 def _core(plugins: Plugins, group: str) -> list[str]:
-    """Returns the names in a group that the core itself brings."""
+    """Return the names in a group that are Pancakes' own."""
     return [name for name in plugins.names(group) if plugins.version(group, name).distribution == DISTRIBUTION]
 
 
@@ -121,13 +121,13 @@ def _facts(cls: type) -> str:
 
 
 def fields_of(cls: type) -> tuple[Field, ...]:
-    """Returns the fields of a dataclass or of a `msgspec.Struct`."""
+    """Return the fields of a dataclass or of a `msgspec.Struct`."""
     found: tuple[Field, ...] = type_info(cls).fields  # type: ignore[attr-defined]
     return found
 
 
 def _fields(cls: type, skip: tuple[str, ...] = (), nested: bool = True) -> str:
-    """Returns a table of the fields of a dataclass (one without fields has none), and of those that are inside."""
+    """Return a table of the fields of a dataclass, and tables of the dataclasses in it."""
     if all(field.name in skip for field in fields_of(cls)):
         return "It has no keys.\n"
     schema = schema_of(cls)
@@ -160,7 +160,7 @@ def _default(field: Field) -> str:
 
 
 def _kind(schema: dict[str, Any]) -> str:
-    """Returns a JSON Schema in a few words."""
+    """Return a JSON Schema in a few words."""
     if "$ref" in schema:
         return f"`{schema['$ref'].rpartition('/')[2]}`"
     if "anyOf" in schema:
@@ -198,7 +198,7 @@ def _bounds(schema: dict[str, Any]) -> str:
 
 
 def packets() -> str:
-    """Returns the page on the packet types that the core brings."""
+    """Return the page on Pancakes' own packet types."""
     plugins = Plugins()
     for name in _core(plugins, "pancakes.packets"):
         plugins.get("pancakes.packets", name)
@@ -220,7 +220,7 @@ def packets() -> str:
 
 
 def verbs() -> str:
-    """Returns the page on all commands."""
+    """Return the page on all commands."""
     parts = [
         "# The command line\n",
         GENERATED,
@@ -241,7 +241,7 @@ def _commands(
         others = set(Plugins().names("pancakes.commands")) if command is pancakes else set()
         for child in command.list_commands(context):
             if child in others:
-                continue  # of another distribution, which tells of it itself
+                continue  # of another distribution, which documents it itself
             found = command.get_command(context, child)
             assert found is not None, child
             if not found.hidden:
@@ -268,7 +268,7 @@ def _option(option: click.Option, context: click.Context) -> str:
 
 
 def _prose(help_: str) -> str:
-    r"""Returns the help of a command in Markdown; what click's mark `\b` keeps as it is, is an example."""
+    r"""Returns the help of a command in Markdown; paragraphs with click's mark `\b` become examples."""
     parts = []
     for paragraph in inspect.cleandoc(help_).replace("\f", "").split("\n\n"):
         if paragraph.startswith("\b"):

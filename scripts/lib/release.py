@@ -1,9 +1,9 @@
-"""Builds, checks and tries what is released: the project and its plug-ins. Needs nothing but Python.
+"""Build, check and try a release: the project and its plug-ins. Needs only Python.
 
-Built are the files of the commit, and nothing else of the clone; where no tag `vVERSION` is on it, `pancakes --version`
-names it. Each wheel is built from its source distribution, so both have all that belongs to them. They are checked
-(metadata, versions, licence, contents), installed into an empty environment of each supported Python that this machine
-has, and the demos that they bring are run there in virtual time, in an empty folder: nothing of this clone is in reach.
+Only the files of the commit are built. If the commit has no tag `vVERSION`, `pancakes --version` shows the commit. Each
+wheel is built from its source distribution, so both are complete. They are checked (metadata, versions, licence,
+contents), and installed into an empty environment of each supported Python on this machine; the demos in them are run
+there in virtual time, in an empty folder, without access to this clone.
 """
 
 from __future__ import annotations
@@ -27,16 +27,16 @@ TOOLS = ("build>=1", "setuptools>=68", "wheel", "twine>=5")
 PYTHONS = ("3.11", "3.12", "3.13")
 """The versions of Python that are supported."""
 NEXT_PYTHON = "3.14"
-"""The one to come: tried, and no fault where what Pancakes requires cannot be had for it."""
+"""The next Python: it is tried, but may be skipped if the requirements of Pancakes are not available for it."""
 PYENV = Path(os.environ.get("PYENV_ROOT") or Path.home() / ".pyenv") / "versions"
 
 
 def main() -> None:
-    """Builds, checks and tries."""
+    """Build, check and try a release."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--out", type=Path, default=ROOT / "dist", help="where they go; dist/ in the clone if left out")
-    parser.add_argument("--demos", metavar="DEMO", nargs="+", default=[], help="run these demos; all if left out")
-    parser.add_argument("--this-python", action="store_true", help="try them with the Python of this script alone")
+    parser.add_argument("--out", type=Path, default=ROOT / "dist", help="output folder (default: dist/ in the clone)")
+    parser.add_argument("--demos", metavar="DEMO", nargs="+", default=[], help="run only these demos (default: all)")
+    parser.add_argument("--this-python", action="store_true", help="try only the Python that runs this script")
     options = parser.parse_args()
     out = options.out.absolute()
     with tempfile.TemporaryDirectory() as made:
@@ -50,7 +50,7 @@ def main() -> None:
 
 
 def build(place: Path, out: Path) -> list[Path]:
-    """Builds and checks everything; returns the wheels."""
+    """Build and check everything; return the wheels."""
     source, venv = place / "source", place / "builder"
     commit = export(source)
     say(f"building {commit or 'the release'} into {out}")
@@ -62,24 +62,24 @@ def build(place: Path, out: Path) -> list[Path]:
         command = [python, "-m", "build", "--no-isolation", "--outdir", str(fresh), str(root)]
         quietly(command, f"{root.relative_to(place)} could not be built")
     wheels, sdists = sorted(fresh.glob("*.whl")), sorted(fresh.glob("*.tar.gz"))
-    quietly([python, "-m", "twine", "check", "--strict", *map(str, (*wheels, *sdists))], "the metadata is not sound")
+    quietly([python, "-m", "twine", "check", "--strict", *map(str, (*wheels, *sdists))], "the metadata is invalid")
     sources = [it for root in roots for it in packaged(root, [path.parent.name for path in root.glob("*/__init__.py")])]
     if faults := faults_of(wheels, sdists, sources):
-        sys.exit("\n".join(["what was built is not fit for a release:", *faults]))
+        sys.exit("\n".join(["the built files are not fit for a release:", *faults]))
     out.mkdir(parents=True, exist_ok=True)
     return [Path(shutil.copy(path, out)) for path in (*wheels, *sdists)][: len(wheels)]
 
 
 def export(place: Path) -> str:
-    """Takes the files of the commit, or of a folder that is no clone; returns what is built, empty: a release."""
+    """Copy the files of the commit, or of a folder without git; return the name of the build, empty: a release."""
     if not (ROOT / ".git").exists():
-        say("this is no clone: all that lies here is taken, and no commit is named")
+        say("this folder is not a git clone: all of its files are used, without the name of a commit")
         shutil.copytree(
             ROOT, place, symlinks=True, ignore=shutil.ignore_patterns(".venv", "dist", "runs", "*.egg-info")
         )
         return ""
     if git("status", "--porcelain", "--untracked-files=no"):
-        say("changes that are not committed are left out")
+        say("uncommitted changes are left out")
     archive = subprocess.run(["git", "-C", str(ROOT), "archive", "HEAD"], stdout=subprocess.PIPE, check=True).stdout
     with tarfile.open(fileobj=BytesIO(archive)) as files:
         files.extractall(place, filter="tar")
@@ -92,13 +92,13 @@ def export(place: Path) -> str:
 
 
 def git(*arguments: str) -> str:
-    """Asks git about the clone."""
+    """Ask git about the clone."""
     command = ["git", "-C", str(ROOT), *arguments]
     return subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True).stdout.strip()
 
 
 def found_pythons() -> dict[str, str]:
-    """Returns the Pythons of this machine that are supported, by version; says which are left out."""
+    """Return the supported Pythons of this machine, by version; print which are skipped."""
     found = {}
     for version in (*PYTHONS, NEXT_PYTHON):
         places = [f"python{version}", *map(str, sorted(PYENV.glob(f"{version}.*/bin/python{version}"), reverse=True))]
@@ -106,12 +106,12 @@ def found_pythons() -> dict[str, str]:
         if python is not None:
             found[version] = python
         else:
-            say(f"Python {version} is left out: this machine has none that makes environments")
+            say(f"Python {version} is skipped: this machine has none that can make virtual environments")
     return found
 
 
 def makes_environments(python: str) -> bool:
-    """Whether there is such a Python, and pip comes with it."""
+    """Return whether this Python exists and can make environments with pip."""
     try:
         return subprocess.run([python, "-c", "import venv, ensurepip"], capture_output=True).returncode == 0
     except OSError:
@@ -119,17 +119,17 @@ def makes_environments(python: str) -> bool:
 
 
 def try_out(place: Path, version: str, python: str, wheels: Sequence[Path], demos: Sequence[str]) -> None:
-    """Installs wheels as a user would, and runs demos from them; ends the script where one of them fails."""
+    """Install wheels as a user would, and run demos from them; end the script if one of them fails."""
     say(f"installing them into an empty environment of Python {version}")
     venv, folder = place / "venv", place / "empty"
     folder.mkdir(parents=True)
     run([python, "-m", "venv", str(venv)], "no virtual environment could be made")
     if version == NEXT_PYTHON and not succeeds_to_install(venv, wheels):
-        say(f"Python {version} is left out: what Pancakes requires cannot be installed for it yet")
+        say(f"Python {version} is skipped: the requirements of Pancakes cannot be installed for it yet")
         return
     install(venv, *map(str, wheels))
     pancakes = str(venv / "bin" / "pancakes")
-    # What the caller's shell says about Python and about running agents is none of the user's.
+    # A user would not have this shell's variables about Python and about running agents.
     environment = {key: value for key, value in os.environ.items() if not key.startswith(("PANCAKES_", "PYTHON"))}
 
     def output(*command: str) -> str:
@@ -143,31 +143,31 @@ def try_out(place: Path, version: str, python: str, wheels: Sequence[Path], demo
     listed = output("demo", "--list").splitlines()
     there = [line.split()[0] for line in listed if not line.endswith("(live only)")]
     if not there:
-        sys.exit("the wheels bring no demos")
+        sys.exit("the wheels have no demos")
     for demo in demos or there:
         say(f"running {demo}")
         output("demo", demo, "--virtual", "--headless")
 
 
 def succeeds_to_install(venv: Path, wheels: Sequence[Path]) -> bool:
-    """Whether wheels and what they require can be installed."""
+    """Return whether wheels and their requirements can be installed."""
     command = [*pip(venv), "--only-binary=:all:", *map(str, wheels)]
     return subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True).returncode == 0
 
 
 def install(venv: Path, *what: str) -> None:
-    """Installs packages into an environment."""
+    """Install packages into an environment."""
     run([*pip(venv), *what], "the installation failed")
 
 
 def pip(venv: Path) -> list[str]:
-    """Returns the beginning of a command that installs into an environment."""
+    """Return the beginning of a command that installs into an environment."""
     python = str(venv / "bin" / "python")
     return [python, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--no-input"]
 
 
 def quietly(command: list[str], fault: str) -> None:
-    """Runs a command, and shows what it said only where it fails, which ends the script."""
+    """Run a command; if it fails, print its output and end the script."""
     found = subprocess.run(
         command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
     )

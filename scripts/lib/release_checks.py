@@ -1,4 +1,4 @@
-"""What must hold of the files that are released. Needs nothing but Python."""
+"""Check the files of a release. Needs only Python."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ LICENCE = "MIT"
 
 
 def faults_of(wheels: Sequence[Path], sdists: Sequence[Path], sources: Collection[str]) -> list[str]:
-    """Returns a sentence for each thing that is wrong with the files of a release.
+    """Return a sentence for each fault of the files of a release.
 
     Args:
         wheels: the wheels; one is that of the project, the others are its plug-ins'.
@@ -37,7 +37,7 @@ def faults_of(wheels: Sequence[Path], sdists: Sequence[Path], sources: Collectio
 
 
 def faults_of_wheel(wheel: Path, packages: Collection[str]) -> list[str]:
-    """Returns what is wrong with one wheel, each as a clause.
+    """Return the faults of one wheel, each as a clause.
 
     Args:
         wheel: the wheel.
@@ -46,43 +46,43 @@ def faults_of_wheel(wheel: Path, packages: Collection[str]) -> list[str]:
     metadata, names = metadata_of(wheel), names_in(wheel)
     faults = []
     if LICENCE not in (metadata["License"], metadata["License-Expression"]):
-        faults.append(f"its licence is not said to be {LICENCE}")
+        faults.append(f"its metadata does not name the licence {LICENCE}")
     if not any(PurePosixPath(name).name == "LICENSE" for name in names):
         faults.append("it has no LICENSE")
     if not metadata["Requires-Python"]:
-        faults.append("it does not say which Python it needs")
+        faults.append("its metadata does not name the Python that it needs")
     if metadata["Name"] != CORE and not any(it.startswith(CORE) for it in metadata.get_all("Requires-Dist", [])):
         faults.append(f"it does not require {CORE}")
     own = f"{'-'.join(wheel.name.split('-')[:2])}.dist-info"
     for name in names:
         parts = PurePosixPath(name).parts
         if parts[0] not in {*packages, own} or "__pycache__" in parts:
-            faults.append(f"it has {name}, which is of no package")
+            faults.append(f"it has {name}, which belongs to no package")
     return faults
 
 
 def faults_of_sdist(sdist: Path) -> list[str]:
-    """Returns what is wrong with one source distribution, each as a clause."""
+    """Return the faults of one source distribution, each as a clause."""
     with tarfile.open(sdist) as archive:
         names = {"/".join(PurePosixPath(name).parts[1:]) for name in archive.getnames()}
     return [f"it has no {name}" for name in ("LICENSE", "README.md", "setup.cfg", "PKG-INFO") if name not in names]
 
 
 def metadata_of(wheel: Path) -> object:
-    """Returns the metadata of a wheel."""
+    """Return the metadata of a wheel."""
     with zipfile.ZipFile(wheel) as archive:
         (name,) = [it for it in archive.namelist() if it.endswith(".dist-info/METADATA")]
         return Parser().parsestr(archive.read(name).decode())
 
 
 def names_in(wheel: Path) -> list[str]:
-    """Returns the names of a wheel's files."""
+    """Return the names of a wheel's files."""
     with zipfile.ZipFile(wheel) as archive:
         return archive.namelist()
 
 
 def packaged(root: Path, packages: Iterable[str]) -> list[str]:
-    """Returns the files of packages below a folder, as a wheel has them."""
+    """Return the files of packages below a folder, as a wheel has them."""
     return [
         str(path.relative_to(root))
         for package in packages

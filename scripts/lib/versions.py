@@ -1,13 +1,13 @@
-"""Runs the fast tests on each Python of this machine with the newest versions of what Pancakes needs, and on the oldest
-Python with the lowest ones that setup.cfg allows. Needs nothing but Python.
+"""Run the fast tests on each Python of this machine with the newest versions of Pancakes' requirements, and on the
+oldest Python with the lowest versions that setup.cfg allows. Needs only Python.
 
     scripts/test-versions                          # all of them
     scripts/test-versions lowest-3.11 newest-3.13  # only these
     scripts/test-versions newest-3.12 -- tests/kernel -x
 
-What comes after `--` goes to pytest, in place of `--sets fast`. Each environment is kept in `.venvs/` and made again
-when the metadata of the project changes. uv makes them: one that is installed, or else one that pip gets into
-`.venvs/uv`. No Python is ever downloaded: versions that this machine does not have are named at the end.
+Arguments after `--` go to pytest, in place of `--sets fast`. Each environment is kept in `.venvs/` and made again when
+the metadata of the project changes. uv makes them: an installed uv, or else one that pip installs into `.venvs/uv`. No
+Python is ever downloaded: missing versions are named at the end.
 """
 
 from __future__ import annotations
@@ -34,11 +34,11 @@ WORKERS = 2
 LIMIT_S = 1800.0
 MOST_REASONS = 3
 IGNORED = ("-W", "ignore::DeprecationWarning")
-"""What old versions of one library call in new ones of another may be deprecated there by now."""
+"""Old versions of one library may use functions that are deprecated in new versions of another."""
 
 
 class Row(NamedTuple):
-    """What came of one environment."""
+    """The result of one environment."""
 
     name: str
     python: str
@@ -48,12 +48,12 @@ class Row(NamedTuple):
 
 
 def main() -> int:
-    """Makes the environments, runs the tests in each, and prints a table."""
+    """Make the environments, run the tests in each, and print a table."""
     names, options = chosen()
     pythons = {version: python_of(version) for version in PYTHONS}
     found = [version for version, path in pythons.items() if path]
     if not found:
-        sys.exit("None of the Pythons " + ", ".join(PYTHONS) + " is here.")
+        sys.exit("This machine has none of the Pythons " + ", ".join(PYTHONS) + ".")
     wanted = names or [f"lowest-{found[0]}", *(f"newest-{version}" for version in found)]
     rows = []
     for name in wanted:
@@ -71,7 +71,7 @@ def main() -> int:
 
 
 def chosen() -> tuple[list[str], list[str]]:
-    """Returns the environments that are asked for, and what goes to pytest."""
+    """Return the requested environments, and the arguments of pytest."""
     arguments = sys.argv[1:]
     options: list[str] = []
     if "--" in arguments:
@@ -85,7 +85,7 @@ def chosen() -> tuple[list[str], list[str]]:
 
 
 def row_of(name: str, python: str, options: list[str]) -> Row:
-    """Makes an environment and runs the tests in it."""
+    """Make an environment, and run the tests in it."""
     venv = VENVS / name
     version = output_of([python, "-c", "import platform; print(platform.python_version())"])
     why_not = make(venv, python, name.startswith("lowest"))
@@ -115,12 +115,12 @@ def row_of(name: str, python: str, options: list[str]) -> Row:
             return Row(name, version, f"not over after {LIMIT_S:g} s", False)
         if not report.is_file():
             return Row(name, version, f"pytest ended with {code}", False)
-        result, remarks = told_by(report)
+        result, remarks = summary_of(report)
     return Row(name, version, f"{result} in {time.monotonic() - began_s:.0f} s", code == 0, remarks)
 
 
 def environment(place: Path) -> dict[str, str]:
-    """Returns the environment of the tests: agents that run here are no concern of theirs."""
+    """Return the environment of the tests, in which they do not see the running agents of this machine."""
     kept = {key: value for key, value in os.environ.items() if not key.startswith(("PANCAKES_", "PYTHON", "VIRTUAL_"))}
     made = {}
     for variable, folder in (("XDG_RUNTIME_DIR", "run"), ("XDG_STATE_HOME", "state"), ("PANCAKES_RUNTIME_DIR", "run")):
@@ -129,8 +129,8 @@ def environment(place: Path) -> dict[str, str]:
     return {**kept, **made}
 
 
-def told_by(report: Path) -> tuple[str, tuple[str, ...]]:
-    """Returns how many tests passed, failed and were left out, and the first failures and commonest reasons."""
+def summary_of(report: Path) -> tuple[str, tuple[str, ...]]:
+    """Return how many tests passed, failed and were skipped; and the first failures and most frequent reasons."""
     passed, failed, reasons = 0, [], Counter[str]()
     for case in xml.etree.ElementTree.parse(report).iter("testcase"):
         if case.find("failure") is not None or case.find("error") is not None:
@@ -149,7 +149,7 @@ def told_by(report: Path) -> tuple[str, tuple[str, ...]]:
 
 
 def make(venv: Path, python: str, lowest: bool) -> str:
-    """Makes an environment, unless it is up to date; returns why it could not be made."""
+    """Make an environment unless it is up to date; return why it could not be made, or an empty string."""
     stamp = venv / "installed-for"
     wanted = f"{python} {digest()}"
     if stamp.is_file() and stamp.read_text() == wanted:
@@ -174,7 +174,7 @@ def make(venv: Path, python: str, lowest: bool) -> str:
 
 
 def find_uv() -> str:
-    """Returns uv: one that is installed, or else one that pip installs for this script."""
+    """Return the path of an installed uv, or else of one that pip installs for this script."""
     found = shutil.which("uv")
     own = VENVS / "uv" / "bin" / "uv"
     if found or own.is_file():
@@ -186,7 +186,7 @@ def find_uv() -> str:
 
 
 def python_of(version: str) -> str:
-    """Returns a Python of a version, such as 3.12; empty: this machine has none."""
+    """Return a Python of a version, such as 3.12; empty: this machine has none."""
     for path in candidates(version):
         if output_of([path, "-c", "import sys; print('%d.%d' % sys.version_info[:2])"]) == version:
             return path
@@ -194,7 +194,7 @@ def python_of(version: str) -> str:
 
 
 def candidates(version: str) -> Iterator[str]:
-    """Returns where a Python of a version may be: those on the path, of pyenv, and of uv."""
+    """Yield the possible paths of a Python of a version: of pyenv, of uv, and on the PATH."""
     pyenv = Path(os.environ.get("PYENV_ROOT") or Path.home() / ".pyenv") / "versions"
     of_uv = Path(os.environ.get("UV_PYTHON_INSTALL_DIR") or Path.home() / ".local" / "share" / "uv" / "python")
     for path in sorted([*pyenv.glob(f"{version}.*"), *of_uv.glob(f"cpython-{version}.*")], key=number_of, reverse=True):
@@ -209,7 +209,7 @@ def number_of(path: Path) -> list[int]:
 
 
 def output_of(command: list[str]) -> str:
-    """Returns what a command prints; empty: it fails."""
+    """Return the output of a command; empty if it fails."""
     try:
         ended = subprocess.run(command, capture_output=True, text=True, timeout=30.0, stdin=subprocess.DEVNULL)
     except (OSError, subprocess.TimeoutExpired):
@@ -219,11 +219,11 @@ def output_of(command: list[str]) -> str:
 
 def last_line(text: str) -> str:
     lines = [line.strip() for line in text.splitlines() if line.strip()]
-    return lines[-1] if lines else "uv says nothing"
+    return lines[-1] if lines else "uv printed nothing"
 
 
 def show(rows: list[Row]) -> None:
-    """Prints the table."""
+    """Print the table."""
     print()
     widths = [max(len(row[column]) for row in rows) for column in range(3)]
     for row in rows:

@@ -55,8 +55,8 @@ def test_a_sound_release_has_no_fault(tmp_path: Path):
     [
         ("pancakes/task.py", "", "no wheel has pancakes/task.py"),
         ("pancakes_agents-1.0.dist-info/LICENSE", "", "it has no LICENSE"),
-        ("", "tests/test_task.py", "it has tests/test_task.py, which is of no package"),
-        ("", "pancakes/__pycache__/task.pyc", "it has pancakes/__pycache__/task.pyc, which is of no package"),
+        ("", "tests/test_task.py", "it has tests/test_task.py, which belongs to no package"),
+        ("", "pancakes/__pycache__/task.pyc", "it has pancakes/__pycache__/task.pyc, which belongs to no package"),
     ],
 )
 def test_what_a_wheel_lacks_or_has_too_much_is_named(tmp_path: Path, left_out: str, added: str, fault: str):
