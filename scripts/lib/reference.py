@@ -268,7 +268,7 @@ def _option(option: click.Option, context: click.Context) -> str:
 
 
 def _prose(help_: str) -> str:
-    r"""Returns the help of a command in Markdown; paragraphs with click's mark `\b` become examples."""
+    r"""Return the help of a command in Markdown; paragraphs with click's mark `\b` become examples."""
     parts = []
     for paragraph in inspect.cleandoc(help_).replace("\f", "").split("\n\n"):
         if paragraph.startswith("\b"):

@@ -23,9 +23,9 @@ class Target:
         self.ticks.append((pytest.approx(self._dispatcher.clock.now()), pytest.approx(deadline_s)))
 
 
-def timer_of(spoken_s, speed=0.0):
+def timer_of(spontaneous_s, speed=0.0):
     dispatcher = VirtualDispatcher()
-    spoken = [spoken if isinstance(spoken, tuple) else (spoken, 0.0) for spoken in spoken_s]
+    spoken = [spoken if isinstance(spoken, tuple) else (spoken, 0.0) for spoken in spontaneous_s]
     timer = LateTimer("a", MissionClock(dispatcher.clock), dispatcher, spoken, speed)
     return dispatcher, timer, Target(dispatcher)
 

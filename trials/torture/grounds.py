@@ -43,8 +43,8 @@ class Ground:
         dialled: the address at which the first one dials the other.
         link: the link that can be cut; None: they are connected directly.
         commands: the prefix of the command of each.
-        tells_losses: whether what was on its way is lost for good when the link is cut, as by a reset of a
-            connection; else TCP sends it again once the link heals, where nobody has given the connection up by then.
+        tells_losses: whether data on their way are lost for good when the link is cut, as by a reset of a connection;
+            otherwise TCP sends them again after the cut, unless the connection has been closed by then.
         close: removes the network.
     """
 

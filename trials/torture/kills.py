@@ -1,7 +1,7 @@
 """Kill real agents during migrations of their tasks, at random moments and between the effects of the protocol.
 
-An oracle outside of the agents says what became of the tasks: a file lock that whoever runs a task holds, a file in
-which it counts, and a stream of counted packets to it from an agent that is never killed.
+An oracle outside of the agents judges the tasks by a file lock that each running task holds, a file in which it counts
+its ticks, and a stream of numbered packets to it from an agent that is never killed.
 """
 
 from __future__ import annotations
@@ -147,13 +147,13 @@ class Kills:
         """Kill agents, at random moments and at points, in a drawn order.
 
         Args:
-            random_kills: how many at random moments, faults of the roads among them.
-            points: where else; one that stands there twice is gone to twice. A point that leads to a second one
-                makes two kills.
-            told: is told what happened so far after each round.
+            random_kills: how many faults at random moments, including faults of the connections.
+            points: the points at which to kill in addition; one may occur twice. A point with a second one makes
+                two kills.
+            told: called with the tally after each round.
 
         Returns:
-            What happened.
+            The tally.
 
         Raises:
             InterruptedError: its waits were broken off.
@@ -233,10 +233,10 @@ class Kills:
         """Kill the agent that reaches a point; return its name, or an empty string if none reached it.
 
         Args:
-            point: where.
-            task: whose hand-over it is.
-            victim: the only agent that may come there; empty: any.
-            start: whether that agent is dead and to be started first.
+            point: the point.
+            task: the task of the hand-off.
+            victim: the only agent that may reach it; empty: any.
+            start: whether that agent is dead and must be started first.
         """
         place = Field(TaskId(BORN[task], task), self.fleet.state, self.counts, self.fleet.strike, self._waits)
         trap = Trap(point, place, victim)
@@ -338,7 +338,7 @@ def plan(kills: int, at: str) -> tuple[int, list[Point]]:
     """Return how many agents to kill at random moments, and at which points.
 
     Args:
-        kills: how many in all, or one more: some points make two.
+        kills: how many kills in all; possibly one more, as some points make two.
         at: `random`, `effects` or `both`: half of them each.
     """
     between = {"random": 0, "effects": kills, "both": kills // 2}[at]

@@ -1,8 +1,8 @@
 """Measure late acts: the owner of a guarded task is stopped for longer than its lease, and then continues.
 
-All is judged from outside, by the clock that all processes of a machine share and that counts a suspend: a driver
-writes down each command that it obeys, a peer each packet that it gets, the owner each permit that it was given and
-each checkpoint that it begins to write. An act between the process going on and the next permit is late.
+Everything is judged from outside, by the clock that all processes of a machine share and that includes suspends: a
+driver logs each command that it obeys, a peer each packet that it gets, the owner each permit that it gets and each
+checkpoint that it begins to write. An act between the end of the stop and the next permit is late.
 """
 
 from __future__ import annotations

@@ -28,7 +28,7 @@ def namespaces(wanted: bool | None, what: str) -> Iterator[tuple[Namespaces | No
     They are removed at the end, also after an error.
 
     Args:
-        wanted: True: somebody asked for them, so that nothing else will do. None: where they can be had.
+        wanted: True: required. None: use them if possible. False: do not use them.
         what: what is not run without them.
     """
     spaces: Namespaces | None = None
@@ -76,7 +76,7 @@ netns_option = click.option(
 def kills(count: int, at: str, first: int, fleets: int, over: str, json_file: Path | None) -> None:
     """Kill real agents (SIGKILL) during migrations; an agent that runs a task holds a file lock.
 
-    Exit code 0 only where no task ever ran twice, none was lost, no packet to a task had its effect twice or never,
+    The exit code is 0 only if no task ever ran twice or was lost, each packet to a task had its effect exactly once,
     and each point between effects was reached.
     """
     began_s = time.monotonic()
@@ -100,8 +100,8 @@ def kills(count: int, at: str, first: int, fleets: int, over: str, json_file: Pa
         print(f"{times:>5} times: {name}")
     between = tally.points.total()
     print(f"agents killed: {tally.kills}, {between} of them between effects, at {len(tally.points)} points")
-    print(f"hand-overs, by the epochs that the tasks ran under: {tally.moves}")
-    print(f"hand-overs answered with success: {tally.asked}")
+    print(f"migrations, by the epochs of the tasks: {tally.moves}")
+    print(f"migrations answered with success: {tally.asked}")
     print(
         f"ticks counted: {tally.ticks}, at most {tally.worst_step_back} of a task forgotten in one crash (50 a second);"
         f" a trap kept an agent from its disk for {tally.longest_no_disk_s:.1f} s at most"
@@ -122,8 +122,8 @@ def kills(count: int, at: str, first: int, fleets: int, over: str, json_file: Pa
 def cuts(jobs: int, netns: bool | None, json_file: Path | None) -> None:
     """Cut the link between two real agents at each step of a hand-off, and check which agent runs the task.
 
-    A TCP proxy makes the cut, which resets the connection; and a wire between network namespaces, on which all is
-    silent from then on. Exit code 0 only where each ended as docs/protocol.md says.
+    The cut is made by a TCP proxy, which resets the connection, and by a wire between network namespaces, which is
+    silent from then on. The exit code is 0 only if each cut ended as docs/protocol.md says.
     """
     failed = 0
     began_s = time.monotonic()
@@ -135,7 +135,7 @@ def cuts(jobs: int, netns: bool | None, json_file: Path | None) -> None:
             ways["network namespaces"] = in_namespaces(spaces)
         for way, survey in ways.items():
             print(f"{way}:")
-            print(f"{'cut at':<10} {'then':<18} {'meanwhile ran':<14} {'ran in the end':<15} {'after':>6}")
+            print(f"{'cut at':<10} {'then':<18} {'meanwhile ran':<14} {'ran at the end':<15} {'after':>6}")
             for case in Cutter(survey).run(cases, jobs):
                 failed += bool(case.faults)
                 rows.append({"by": way, **case._asdict()})
@@ -143,7 +143,7 @@ def cuts(jobs: int, netns: bool | None, json_file: Path | None) -> None:
                     f"{case.step:<10} {case.fate:<18} {case.meanwhile:<14} {case.finally_:<15} {case.settled_s:>4.1f} s"
                 )
                 print(f"{row}  {'; '.join(case.faults) or 'as it must'}", flush=True)
-    print(f"{len(rows)} cuts, in {time.monotonic() - began_s:.0f} s; {failed} ended as they must not")
+    print(f"{len(rows)} cuts, in {time.monotonic() - began_s:.0f} s; {failed} failed")
     write(json_file, {"cuts": rows, "failed": failed, "not_run": not_run, "wall_s": time.monotonic() - began_s})
     sys.exit(1 if failed else 0)
 
@@ -163,8 +163,8 @@ LOSS: Final = 0.05
 def gap(moves: int, netns: bool | None, json_file: Path | None) -> None:
     """Measure how long an actuator gets no command while its task (100 Hz) migrates between real agents.
 
-    On loopback; and between network namespaces, where each IP packet takes 20 ms and 5 % of them are lost. Exit code 1
-    where 99 in 100 moves with 64 KiB of state take longer than 50 ms on loopback, or a move there is refused.
+    On loopback, and between network namespaces in which IP packets take 20 ms and 5 % of them are lost. The exit code
+    is 1 if the p99 with 64 KiB of state is longer than 50 ms on loopback, or if a migration there is refused.
     """
     rows: list[dict[str, Any]] = []
     failed = False
@@ -173,18 +173,18 @@ def gap(moves: int, netns: bool | None, json_file: Path | None) -> None:
             found = measure(size, moves, on_loopback)
             late = size == SIZES[1] and bool(found.gaps_s) and found.percentile_s(99) > WANTED_S
             failed = failed or late or bool(found.refused) or not found.gaps_s
-            rows.append(_told("loopback", found, f": longer than {WANTED_S * 1000:g} ms" if late else ""))
+            rows.append(_row_of("loopback", found, f": longer than {WANTED_S * 1000:g} ms" if late else ""))
         for size in SIZES if spaces is not None else ():
             assert spaces is not None
             found = measure(size, moves, in_namespaces(spaces, DELAY_S, LOSS))
             failed = failed or not found.gaps_s
-            rows.append(_told("20 ms each way, 5 % lost", found))
+            rows.append(_row_of("20 ms each way, 5 % lost", found))
     print("The gap holds one period of the task, 10 ms.")
     write(json_file, {"gaps": rows, "failed": failed, "not_run": not_run})
     sys.exit(1 if failed else 0)
 
 
-def _told(where: str, found: Gaps, fault: str = "") -> dict[str, Any]:
+def _row_of(where: str, found: Gaps, fault: str = "") -> dict[str, Any]:
     """Print the figures, and return them for a file."""
     row: dict[str, Any] = {"where": where, "state_bytes": found.state_bytes, "moves": len(found.gaps_s)}
     row["gaps_s"] = list(found.gaps_s)
@@ -192,13 +192,14 @@ def _told(where: str, found: Gaps, fault: str = "") -> dict[str, Any]:
     if found.gaps_s:
         row |= {"p50_s": found.percentile_s(50), "p99_s": found.percentile_s(99), "longest_s": found.gaps_s[-1]}
         print(
-            f"{head}: p50 {row['p50_s'] * 1000:.1f} ms, p99 {row['p99_s'] * 1000:.1f} ms, {row['moves']} moves{fault}",
+            f"{head}: p50 {row['p50_s'] * 1000:.1f} ms, p99 {row['p99_s'] * 1000:.1f} ms,"
+            f" {row['moves']} migrations{fault}",
             flush=True,
         )
     else:
-        print(f"{head}: no move arrived", flush=True)
+        print(f"{head}: no migration succeeded", flush=True)
     if found.refused:
         row |= {"refused": found.refused, "longest_pause_s": max(found.pauses_s, default=0.0)}
-        print(f"{head}: {len(found.refused)} moves came to nothing, such as: {found.refused[0]}")
-        print(f"{head}: the task stood still for {row['longest_pause_s'] * 1000:.0f} ms in these, at most", flush=True)
+        print(f"{head}: {len(found.refused)} migrations failed, such as: {found.refused[0]}")
+        print(f"{head}: the longest pause of the task in these was {row['longest_pause_s'] * 1000:.0f} ms", flush=True)
     return row

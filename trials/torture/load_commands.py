@@ -40,9 +40,9 @@ CASES: Final = (
 def load(seconds: float, rounds: int, only: str | None, json_file: Path | None) -> None:
     """Test a publisher that is ten times too fast, and a slow or stopped peer: what is the effect on everything else?
 
-    Exit code 1 where an agent takes more than 64 MiB above its baseline, 1 in 100 replies or ticks is later than 50 ms,
-    a packet is lost without being counted, comes out of order or twice, or the readers do not catch up by themselves;
-    and where the others' p99 is more than 1.2 times its baseline while a peer is slow, or that is not closed.
+    The exit code is 1 if an agent uses more than 64 MiB above its baseline, the p99 of replies or ticks is above 50 ms,
+    a packet is lost without being counted, arrives out of order or twice, or the readers do not catch up by themselves;
+    or if the others' p99 is more than 1.2 times its baseline while a peer is slow, or the slow peer is not closed.
     """
     rows = _overloads(seconds) if only != "peers" else []
     rows += slow_peer_rows(rounds, seconds) if only != "overload" else []

@@ -1,6 +1,6 @@
 """Tasks that load agents, and tasks that measure the effect on others. Agents find them by entry point.
 
-Each tells what it sees in a file of its own, a line of JSON at a time, on the clock that all processes of a machine
+Each writes its reports to a file of its own, as lines of JSON, with times of the clock that all processes of a machine
 share. The file is the setting `file`.
 """
 

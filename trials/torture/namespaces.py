@@ -1,8 +1,8 @@
 """Network namespaces for agents: each has a network of its own, separate from the machine's network.
 
-They are made with `ip netns`, and joined by a wire of our own (`wire.py`), so the kernel need not know `netem`, which
-many do not. Their names hold the number and the birth of the process that made them: what a killed run has left behind
-is found by that, and removed at the next start.
+They are made with `ip netns`, and joined by a wire of our own (`wire.py`), so no kernel support for `netem` is needed.
+Their names contain the number and start time of the process that made them, so that the namespaces of a killed run are
+found and removed at the next start.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """The named points between the effects of a hand-off at which a real agent can be killed, and how.
 
-From outside, an agent that dies between a write and the message that follows cannot be told from one whose message was
-sent and is lost; so a proxy that sees the message kills its sender and loses it. Before a write, and before a task is
-started or goes on, a gate holds the agent (`gates.py`). `traps.py` carries it out.
+From outside, an agent that dies between a write and the next message looks like one whose message was lost; so a proxy
+that sees the message kills its sender and loses the message. Before a write, and before a task starts or resumes, a
+gate holds the agent (`gates.py`). `traps.py` carries this out.
 """
 
 from __future__ import annotations

@@ -67,10 +67,10 @@ def _connected(target: str) -> socket.socket:
 
 
 class Proxy:
-    """Stands between two agents.
+    """A proxy between two agents.
 
-    The addresses that each of them gives for itself are taken out of its hello, and what they tell about others is
-    lost, so that there is no way around.
+    Each agent's addresses are removed from its hello, and its gossip about other agents is dropped, so that no
+    connection can bypass the proxy.
 
     Args:
         target: the address of the other agent, `tcp://host:port` or `local:///path`; the proxy has the same scheme.
@@ -110,8 +110,8 @@ class Proxy:
         """Hold all data, or release it: nothing is lost, everything is late, and neither end notices.
 
         Args:
-            there: whether what the one that dials says is held.
-            back: whether what the other one says is.
+            there: whether to hold the data from the agent that dials.
+            back: whether to hold the data from the other one.
         """
         for flow, held in zip(self._flows, (there, back), strict=True):
             if held:

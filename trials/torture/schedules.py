@@ -1,10 +1,10 @@
 """Seeded fault schedules: whole virtual agents whose tasks migrate both ways at once, under all kinds of faults.
 
-A seed draws all of it: how slow the links are, which packets of the hand-over are lost, doubled, put off and overtaken,
-when links break and networks part, between which two steps an agent is killed, and what an operator asks for meanwhile.
-In a third of the schedules the tasks write to each other all the time, wherever they are.
-At the end everything heals, and each task must run once. Nothing but the seed enters, so each schedule does the same
-again, also where its story is told.
+A seed draws everything: the delays of the links, which packets of the hand-off are lost, doubled, late and overtaken,
+when links break and networks part, between which two steps an agent is killed, and what an operator requests meanwhile.
+In a third of the schedules the tasks send each other letters all the time.
+At the end all faults end, and each task must run once. Only the seed matters, so a schedule does the same again, even
+when it is traced.
 """
 
 from __future__ import annotations
@@ -367,8 +367,8 @@ class Schedule:
             raise Violation(f"{HEALS_WITHIN_S:g} s after all healed: {self._state()}")
         for _ in range(2):
             for name, task in self._stopped():
-                # An operator's stop outlives everything; then it is started where it is. Where it was refused because a
-                # snapshot that came late had its wheels reserved for a moment, it is asked for once more.
+                # An operator's stop outlives everything, so start such tasks on their agents. If a start is refused
+                # because a late snapshot had reserved the wheels for a moment, request it once more.
                 self.ask(name, Start(f"client/{task}"))
             self.fleet.run_for(3.0)
             # Packets from before the end of the faults may arrive only now, and need another round of messages.

@@ -1,9 +1,9 @@
 """Look for standstills of one agent in a process of its own: tasks of all kinds, and probes that notice a standstill.
 
-Every 20 ms a bare thread asks the pool, the timer and the network's loop for something trivial, and looks when each
-ticker was ticked last, and every second how often. Where one of them has not come to it for `GAP_S`, or a ticker had
-less than a fifth of its ticks, although the bare thread itself was on time, so that the process had the processor and
-the interpreter, it writes down what all threads do, and whether the system lets them run.
+Every 20 ms a bare thread asks the pool, the timer and the network's loop a trivial question, and checks the last tick
+of each ticker; every second it checks their rates. If one of them has not answered for `GAP_S`, or a ticker had less
+than a fifth of its ticks, although the bare thread itself was on time (so the process had the processor and the
+interpreter), it dumps the stacks of all threads, and whether the system lets them run.
 
 Run by `scripts/torture standstill`: `python -m torture.standstill '{"name": ...}'`; it ends when its input does.
 """

@@ -31,9 +31,9 @@ PATIENCE_S = 60.0
 def standstill(seconds: float, first: int, dumps: str, json_file: Path | None) -> None:
     """Run agents with all kinds of tasks and peers that come, go and stop, on one, two and four cores under load.
 
-    Exit code 1 where the pool, the timer, the network's loop or a ticker did not come to what waited for 0.15 s,
-    although the process had the processor meanwhile. On a machine that others use as well, such a gap may be the
-    scheduler's doing: the dump says whether the thread in question was waiting or about to run.
+    The exit code is 1 if the pool, the timer, the network's loop or a ticker left work waiting for 0.15 s although the
+    process had the processor. On a busy machine, the scheduler may cause such a gap: the dump shows whether the thread
+    was waiting or runnable.
     """
     rows: list[dict[str, Any]] = []
     until_s = time.monotonic() + seconds

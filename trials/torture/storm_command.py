@@ -31,9 +31,9 @@ CAUGHT_WITHIN: Final = 1000
 def storms(seeds: int, first: int, jobs: int, json_file: Path | None) -> None:
     """Run storms of guarded tasks in virtual time: two agents never act at once, and at the end one acts.
 
-    The clock of each agent runs at a rate of its own, within 1 % of the true one. Then the same with 10 %, which is
-    more than leases allow for: that must be caught. A seed does exactly the same again. Exit code 0 only where no storm
-    has a violation with 1 %, and one with 10 % has two act.
+    The clock of each agent runs at its own rate, within 1 % of the true one. Then the same with 10 %, which is more
+    than leases allow for: this must be caught. A seed does exactly the same again. The exit code is 0 only if no storm
+    with 1 % has a violation, and two agents act in one storm with 10 %.
     """
     began_s = time.monotonic()
     violations: dict[int, str] = {}

@@ -1,7 +1,7 @@
 """Storms of guarded tasks in virtual time, with a separate clock for each agent: two agents must never act at once.
 
-Of any two acts of the task the later one is under the epoch that is not lower, so what the environment sees is one
-task. At the end, when all is well again, exactly one agent acts.
+The epochs of the acts never decrease, so the environment sees a single task. After the last mishap, exactly one agent
+must act at the end.
 """
 
 from __future__ import annotations
@@ -72,8 +72,8 @@ class Storm:
 
     Args:
         seed: the seed of the mishaps and the rates.
-        apart: the clock of each agent runs at 1 ± so much of the true rate, drawn for each; in half of the storms one
-            is as slow as that, and all others are as fast.
+        apart: how much the rate of each agent's clock may differ from the true one, as a share; in half of the storms,
+            one clock is as slow, and all others are as fast as allowed.
     """
 
     def __init__(self, seed: int, apart: float = 0.0) -> None:

@@ -87,7 +87,7 @@ class Strokes:
         Args:
             kind: which.
             hit: the agent.
-            others: the agents that it may be cut from where it is cut from one.
+            others: the agents to choose from if it is cut from only one.
         """
         if kind in KILLS or kind == "goodbye":
             return self._end(kind, hit)

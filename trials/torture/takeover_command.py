@@ -39,9 +39,9 @@ def takeovers(
 ) -> None:
     """Strike real agents that guard a task with all kinds of faults: two never act at once, and then one continues.
 
-    Four agents to a fleet; half of the faults come during hand-offs and take-overs. Exit code 0 only where no two acts
-    were under a passed epoch, at most one act was late for each stop of each thread, no packet to the task had its
-    effect twice or never, the task never stood still, and each kind was reached.
+    A fleet has four agents; half of the faults come during hand-offs and take-overs. The exit code is 0 only if no two
+    acts had a passed epoch, at most one act was late for each stop of each thread, each packet to the task had its
+    effect exactly once, the task never stayed paused, and each kind of fault occurred.
     """
     began_s = time.monotonic()
     kinds = only or KINDS

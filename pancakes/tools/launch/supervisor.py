@@ -442,7 +442,7 @@ class LocalAgents:
         member = self._members[name]
         try:
             process = self._processes.start(
-                name, lambda output, said: self._starter.start(member.path, member.sets, output, said)
+                name, lambda output, progress: self._starter.start(member.path, member.sets, output, progress)
             )
         except OSError as error:
             self._listener.failed(name, (error.strerror or str(error)).lower())

@@ -114,10 +114,10 @@ class _Pipe:
 class _Agent:
     """The process of one agent, and its pipes."""
 
-    def __init__(self, process: AgentProcess, output: _Pipe, said: _Pipe) -> None:
+    def __init__(self, process: AgentProcess, output: _Pipe, progress: _Pipe) -> None:
         self.process = process
         self.output = output
-        self.said = said
+        self.progress = progress
 
 
 class AgentProcesses:
@@ -147,21 +147,21 @@ class AgentProcesses:
             OSError: the process cannot be created.
         """
         output, output_end = os.pipe()
-        said, said_end = os.pipe()
+        progress, progress_end = os.pipe()
         try:
-            process = make(output_end, said_end)
+            process = make(output_end, progress_end)
         except BaseException:
             os.close(output)
-            os.close(said)
+            os.close(progress)
             raise
         finally:
             os.close(output_end)
-            os.close(said_end)
+            os.close(progress_end)
         listener = self._listener
         self._agents[name] = _Agent(
             process,
             _Pipe(output, lambda line: listener.printed(name, line), self._closing),
-            _Pipe(said, lambda line: listener.said(name, line), self._closing),
+            _Pipe(progress, lambda line: listener.said(name, line), self._closing),
         )
         return process
 
@@ -182,7 +182,7 @@ class AgentProcesses:
     def pipes(self, name: str = "") -> dict[int, Callable[[], bool]]:
         """Return the open pipes of one agent, or of all, each with the function that reads it when it is ready."""
         agents = [self._agents[name]] if name else self._agents.values()
-        return {pipe.number: pipe.read for agent in agents for pipe in (agent.output, agent.said) if pipe.open}
+        return {pipe.number: pipe.read for agent in agents for pipe in (agent.output, agent.progress) if pipe.open}
 
     def look(self) -> None:
         """Report the agents that have ended, after all of their output."""
@@ -194,5 +194,5 @@ class AgentProcesses:
             while agent.output.open and agent.output.read():
                 pass
             agent.output.close()  # a child process of the agent may keep the other end open for ever
-            agent.said.close()
+            agent.progress.close()
             self._listener.ended(name, code)

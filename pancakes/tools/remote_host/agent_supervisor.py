@@ -97,7 +97,7 @@ class Supervisor:
         for end in (reader, writer):
             os.set_blocking(end, False)
         signal.set_wakeup_fd(writer, warn_on_full_buffer=False)
-        signal.signal(signal.SIGTERM, self._told_to_end)
+        signal.signal(signal.SIGTERM, self._on_stop_signal)
         signal.signal(signal.SIGHUP, signal.SIG_IGN)
         signal.signal(signal.SIGCHLD, lambda number, frame: None)
         self._selector.register(notices, selectors.EVENT_READ)
@@ -107,7 +107,7 @@ class Supervisor:
         self._environment["WATCHDOG_USEC"] = str(int(self._watchdog_s * 1e6))
         self._spawn()
 
-    def _told_to_end(self, number: int, frame: Any) -> None:
+    def _on_stop_signal(self, number: int, frame: Any) -> None:
         self._ends = True
 
     def _turn(self, notices: socket.socket) -> None:

@@ -76,7 +76,7 @@ class LaunchedAgents:
             path, sets = self._put(agent, config, sets, keys)
             if fresh:
                 self._forget(python, path, sets)
-            process = self.processes.start(agent, lambda output, said: _spawn(python, path, sets, output, said))
+            process = self.processes.start(agent, lambda output, progress: _spawn(python, path, sets, output, progress))
         except OSError as error:
             raise HostFault(f"cannot start {agent}: {(error.strerror or str(error)).lower()}") from None
         return {"pid": process.pid}
@@ -137,9 +137,9 @@ class LaunchedAgents:
             raise HostFault(f"cannot clear the state of the agent: {last_line(done.stderr)}")
 
 
-def _spawn(python: str, path: Path, sets: list[str], output: int, said: int) -> subprocess.Popen[bytes]:
+def _spawn(python: str, path: Path, sets: list[str], output: int, ready_fd: int) -> subprocess.Popen[bytes]:
     command = [python, "-m", "pancakes.tools.cli.agent_command", "--config", str(path)]
-    command += [f"--die-with-parent={os.getpid()}", f"--ready-fd={said}"]
+    command += [f"--die-with-parent={os.getpid()}", f"--ready-fd={ready_fd}"]
     for change in sets:
         command += ["--set", change]
     return subprocess.Popen(
@@ -148,7 +148,7 @@ def _spawn(python: str, path: Path, sets: list[str], output: int, said: int) -> 
         stdout=output,
         stderr=output,
         start_new_session=True,
-        pass_fds=(said,),
+        pass_fds=(ready_fd,),
     )
 
 
@@ -199,7 +199,7 @@ class HostServer:
             os.set_blocking(end, False)
         signal.set_wakeup_fd(writer, warn_on_full_buffer=False)
         for number in (signal.SIGTERM, signal.SIGHUP, signal.SIGINT):
-            signal.signal(number, self._told_to_end)
+            signal.signal(number, self._on_stop_signal)
         signal.signal(signal.SIGCHLD, lambda number, frame: None)
         os.set_blocking(1, False)
         threading.Thread(target=self._live, daemon=True).start()
@@ -239,7 +239,7 @@ class HostServer:
                 self._emit("alive")
                 self._write()
 
-    def _told_to_end(self, number: int, frame: Any) -> None:
+    def _on_stop_signal(self, number: int, frame: Any) -> None:
         self._ends = True
 
     def _read(self) -> None:

@@ -172,7 +172,7 @@ def _by_time(before: Sequence[Packet], after: Sequence[Packet], time_s: float) -
     while first < len(before) and second < len(after):
         one, other = before[first], after[second]
         gap_s = abs(one.stamp - other.stamp)
-        # The next one may fit better, where one of the two has none to fit to.
+        # If one of the two packets has no partner, the next packet may fit better.
         later_other = second + 1 < len(after) and abs(one.stamp - after[second + 1].stamp) < gap_s
         later_one = first + 1 < len(before) and abs(before[first + 1].stamp - other.stamp) < gap_s
         if gap_s <= time_s and not (later_other or later_one):

@@ -354,7 +354,7 @@ class Script:
         outputs: the packets that it published, in order.
         end_s: the mission time at which the stay ended.
         channels: the channels with packets on its agent.
-        spoken_s: for each packet without a cause, such as from a tick: when it was published, and when the packet
+        spontaneous_s: for each packet without a cause, such as from a tick: when it was published, and when the packet
             before it was published; in order, in mission time.
         superseded: how many packets `steps` lacks, because a newer one replaced them in the mailbox, or the task ended
             before it handled them.
@@ -367,7 +367,7 @@ class Script:
     outputs: list[Packet] = field(default_factory=list)
     end_s: float = 0.0
     channels: list[str] = field(default_factory=list)
-    spoken_s: list[tuple[float, float]] = field(default_factory=list)
+    spontaneous_s: list[tuple[float, float]] = field(default_factory=list)
     superseded: int = 0
     speed: float = 1.0
     ticks: dict[str, RanTicks] | None = None
@@ -412,7 +412,7 @@ def read_script(
     before_s = 0.0
     for packet in script.outputs:
         if packet.cause is None:
-            script.spoken_s.append((packet.stamp, before_s))
+            script.spontaneous_s.append((packet.stamp, before_s))
         before_s = packet.stamp
     script.end_s = max(now_s, times.end_s)
     overtaken = Overtaken(steps, reader.limits, handled_s, 0.0 if virtual else CLOSE_S * speed)
@@ -452,7 +452,7 @@ class _StayReader:
         if self._over or entry.agent != stay.agent or entry.time_ns > stay.to_ns or packet.channel == CHANNEL:
             return False
         # In virtual time, its successor may start at the same moment.
-        self._over = bool(stay.end) and entry.time_ns == stay.to_ns and self._is_told(packet, ENDS)
+        self._over = bool(stay.end) and entry.time_ns == stay.to_ns and self._is_task_event(packet, ENDS)
         if entry.time_ns < stay.from_ns or (entry.time_ns == stay.from_ns and not self._begun(entry)):
             if not stay.whole and entry.time_ns >= stay.from_ns - _LINGERING_NS:
                 self._before[packet.source, packet.seq] = None
@@ -467,7 +467,7 @@ class _StayReader:
         task has published something, its service has reported the start, or the task has been described.
         """
         if self._stay.whole and not self._lives:
-            self._lives = self.is_output(entry.packet) or self._is_told(entry.packet, ("task_started",))
+            self._lives = self.is_output(entry.packet) or self._is_task_event(entry.packet, ("task_started",))
         return self._lives
 
     def is_output(self, packet: Packet) -> bool:
@@ -481,9 +481,9 @@ class _StayReader:
 
     def is_change(self, packet: Packet) -> bool:
         """Return whether a packet is an event about a change of the task."""
-        return self._is_told(packet, CHANGES)
+        return self._is_task_event(packet, CHANGES)
 
-    def _is_told(self, packet: Packet, kinds: Collection[str]) -> bool:
+    def _is_task_event(self, packet: Packet, kinds: Collection[str]) -> bool:
         """Return whether a packet is one of these events, about the task."""
         body = packet.body
         return (

@@ -51,7 +51,7 @@ class LateTimer(VirtualTimer):
         name: the agent's name.
         mission: the mission clock, with the dispatcher's time.
         dispatcher: runs everything.
-        spoken_s: see `Script.spoken_s`.
+        spontaneous_s: see `Script.spontaneous_s`.
         speed: mission seconds per second of host time then.
         ran: which ticks ran, by the method that they call; None: all.
     """
@@ -61,13 +61,13 @@ class LateTimer(VirtualTimer):
         name: str,
         mission: MissionClock,
         dispatcher: VirtualDispatcher,
-        spoken_s: Sequence[tuple[float, float]],
+        spontaneous_s: Sequence[tuple[float, float]],
         speed: float,
         ran: Mapping[str, RanTicks] | None = None,
     ) -> None:
         super().__init__(name, mission, dispatcher)
         self._turn_s = TURN_S * speed
-        self._spoken_s = spoken_s
+        self._spontaneous_s = spontaneous_s
         self._ran = ran or {}
         self._held: dict[int, _Held] = {}
 
@@ -89,13 +89,13 @@ class LateTimer(VirtualTimer):
         if tick.lateness_s:
             self._dispatcher.call_at(deadline_s + tick.lateness_s, lambda: held.tick(tick))
             return
-        place = bisect_left(self._spoken_s, (deadline_s - ROUNDING_S, 0.0))
-        spoken_s, before_s = self._spoken_s[place] if place < len(self._spoken_s) else (deadline_s, 0.0)
-        if not ROUNDING_S < spoken_s - deadline_s < held.most_s:
+        place = bisect_left(self._spontaneous_s, (deadline_s - ROUNDING_S, 0.0))
+        spontaneous_s, before_s = self._spontaneous_s[place] if place < len(self._spontaneous_s) else (deadline_s, 0.0)
+        if not ROUNDING_S < spontaneous_s - deadline_s < held.most_s:
             held.tick(tick)
             return
         # The packet before it was published before the tick.
-        begun_s = max(spoken_s - self._turn_s, before_s + 10 * ROUNDING_S)
+        begun_s = max(spontaneous_s - self._turn_s, before_s + 10 * ROUNDING_S)
         self._dispatcher.call_at(begun_s, lambda: held.tick(tick))
 
 
@@ -183,7 +183,7 @@ class Rerun:
         self._kernel = Kernel(stay.agent, seed=stay.task.seed, virtual=self._dispatcher)
         self._kernel.timer.halt()
         self._kernel.timer = LateTimer(
-            stay.agent, self._kernel.mission, self._dispatcher, script.spoken_s, script.speed, script.ticks
+            stay.agent, self._kernel.mission, self._dispatcher, script.spontaneous_s, script.speed, script.ticks
         )
         # A task that listens or dials finds a network without other agents.
         network = MemoryNetwork(self._dispatcher.call_at, self._dispatcher.clock.now, random.Random("network"))
