@@ -1,4 +1,4 @@
-"""Clients that give live agents more to do than any person could, and remember what came of it."""
+"""Clients that send live agents commands at a high rate, and record the replies and events."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ CLIENTS = 4
 
 @dataclass(frozen=True, order=True)
 class Told:
-    """An event on `log` that came of a request.
+    """An event on `log` that a request caused.
 
     Attributes:
         number: the request's place in the agent's order.
-        source: which component said so.
-        what: the rest of it.
+        source: the component that published it.
+        what: the other fields.
     """
 
     number: int
@@ -43,9 +43,9 @@ class Asked:
     """A command that was sent.
 
     Attributes:
-        client: which of the clients sent it.
+        client: the index of the client that sent it.
         number: that client's number for it.
-        agent: whom it was sent to.
+        agent: the agent that it was sent to.
         body: the control packet's body.
     """
 
@@ -65,7 +65,7 @@ class Answered:
 
 @dataclass
 class Listener:
-    """One client: it asks, and follows the `log` of every agent.
+    """One client: it sends commands, and follows the `log` of every agent.
 
     Attributes:
         told: the numbered events, by agent, in the order in which they came.
@@ -77,7 +77,7 @@ class Listener:
 
 
 class Abuse:
-    """Four clients at once, each with a transport and a link of its own to each agent.
+    """Four concurrent clients, each with its own transport and its own link to each agent.
 
     Args:
         rig: where the agents are.
@@ -102,21 +102,21 @@ class Abuse:
                 assert self.ask(index, name, Follow("log")).ok
 
     def close(self) -> None:
-        """Leaves."""
+        """Close all clients."""
         for client in self.clients:
             client.session.close()
             client.transport.close()
 
     def send(self, client: int, agent: str, body: Any) -> Asked:
-        """Sends a command and waits for nothing."""
+        """Send a command, and do not wait."""
         return Asked(client, self.clients[client].session.request(agent, body), agent, body)
 
     def ask(self, client: int, agent: str, body: Any) -> Reply:
-        """Sends a command and waits for its reply."""
+        """Send a command, and wait for its reply."""
         return self.replies([self.send(client, agent, body)])[0].reply
 
     def offer(self, commands: list[tuple[str, Any]]) -> list[Asked]:
-        """Sends commands, `RATE_HZ` a second, by one client after the other."""
+        """Send commands, `RATE_HZ` per second, through each client in turn."""
         begun_s = self.clock.now()
         sent = []
         for index, (agent, body) in enumerate(commands):
@@ -128,7 +128,7 @@ class Abuse:
         return sent
 
     def replies(self, sent: list[Asked]) -> list[Answered]:
-        """Waits for the reply to each; none may be lost, and none be given up."""
+        """Wait for the reply to each command; none may be lost or time out."""
 
         def answer(asked: Asked) -> Answer | None:
             return self.clients[asked.client].session.answer(asked.number)
@@ -147,8 +147,8 @@ class Abuse:
             found.append(Answered(asked, reply))
         return found
 
-    def wait(self, condition: Any, why: Any = lambda: "it never came to be") -> None:
-        """Waits until something holds."""
+    def wait(self, condition: Any, why: Any = lambda: "the condition never held") -> None:
+        """Wait until a condition holds."""
         until_s = self.clock.now() + PATIENCE_S
         with self._changed:
             while not condition():
@@ -166,7 +166,7 @@ class Abuse:
 
 
 def in_file(path: Path) -> list[Told]:
-    """The numbered events in the file of an agent's Log Service."""
+    """Return the numbered events in the file of an agent's Log Service."""
     records = [json.loads(line) for line in path.read_text().splitlines()]
     return [
         _told(record["source"], record["kind"], record) for record in records if "number" in record and "by" in record

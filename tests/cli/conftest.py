@@ -1,4 +1,4 @@
-"""What the tests of the command line have in common."""
+"""Fixtures for the tests of the command line."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def rig(tmp_path: Path) -> Iterator[Rig]:
 
 @pytest.fixture
 def start(rig: Rig) -> Iterator[Callable[..., LiveOutput]]:
-    """Starts a command that goes on."""
+    """Start commands that keep running."""
     running = []
 
     def start(*arguments: str) -> LiveOutput:
@@ -37,7 +37,7 @@ def start(rig: Rig) -> Iterator[Callable[..., LiveOutput]]:
 
 @pytest.fixture
 def freeze() -> Iterator[Callable[[Running], None]]:
-    """Stops a process so that it neither runs nor ends (SIGSTOP), and returns once that is so."""
+    """Suspend a process (SIGSTOP), and return when it is suspended."""
     frozen = []
 
     def freeze(running: Running) -> None:
@@ -47,4 +47,4 @@ def freeze() -> Iterator[Callable[[Running], None]]:
 
     yield freeze
     for running in frozen:
-        running.process.send_signal(signal.SIGCONT)  # which does nothing where it has ended
+        running.process.send_signal(signal.SIGCONT)  # does nothing if it has ended

@@ -1,4 +1,4 @@
-"""`pancakes` within the process of the test: for what needs no signal, no terminal and no process of its own."""
+"""`pancakes` in the process of the test, for commands that need no signal, no terminal and no own process."""
 
 from __future__ import annotations
 
@@ -8,5 +8,5 @@ from pancakes.tools.cli.main import pancakes
 
 
 def invoked(*arguments: str, typed: str = "") -> Result:
-    """Runs a command to its end; `typed` is its standard input."""
+    """Run a command to its end; `typed` is its standard input."""
     return CliRunner().invoke(pancakes, arguments, input=typed)

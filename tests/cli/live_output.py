@@ -1,4 +1,4 @@
-"""A `pancakes` command that goes on, and what it prints while it does."""
+"""A `pancakes` command that keeps running, and its output."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from harness.programs import Program, pancakes
 
 
 class LiveOutput:
-    """A command that runs, with the lines of its standard output; what it says on standard error comes at its end.
+    """A running command, with the lines of its standard output and standard error.
 
     Args:
-        rig: where its agents are.
+        rig: the rig with its agents.
         arguments: the command's arguments.
     """
 
@@ -49,22 +49,22 @@ class LiveOutput:
             lines.put(line.rstrip("\n"))
 
     def line(self, text: str = "") -> str:
-        """Waits for the next line of standard output that contains `text`."""
+        """Wait for the next line of standard output that contains `text`."""
         return self._next(self._lines, self.printed, text)
 
     def last(self) -> str:
-        """Returns the last line of standard output that has come so far."""
+        """Return the last line of standard output so far."""
         while not self._lines.empty():
             self.printed.append(self._lines.get())
         return self.printed[-1]
 
     def record(self, text: str = "") -> dict[str, Any]:
-        """Waits for the next line that contains `text`, which is JSON."""
+        """Wait for the next line that contains `text`, and parse it as JSON."""
         found: dict[str, Any] = json.loads(self.line(text))
         return found
 
     def hear(self, text: str) -> str:
-        """Waits for the next line of standard error that contains `text`."""
+        """Wait for the next line of standard error that contains `text`."""
         return self._next(self._said, self.said, text)
 
     def _next(self, lines: SimpleQueue[str], kept: list[str], text: str) -> str:
@@ -77,12 +77,12 @@ class LiveOutput:
                 return kept[-1]
 
     def interrupt(self) -> int:
-        """Presses Ctrl-C, and returns the exit code."""
+        """Press Ctrl-C, and return the exit code."""
         self.process.send_signal(signal.SIGINT)
         return self.ended()
 
     def ended(self) -> int:
-        """Waits for its end, and returns the exit code; `printed` and `said` are complete then."""
+        """Wait for the end, and return the exit code; then `printed` and `said` are complete."""
         code = self.process.wait(PATIENCE_S)
         for thread in self._threads:
             thread.join(PATIENCE_S)
@@ -92,7 +92,7 @@ class LiveOutput:
         return code
 
     def close(self) -> None:
-        """Kills it where it still runs."""
+        """Kill the command if it still runs."""
         if self.process.poll() is None:
             self.process.kill()
         self.ended()
@@ -102,10 +102,10 @@ class LiveOutput:
 
 
 def on_a_terminal(rig: Rig, height: int, width: int, *arguments: str, until: bytes) -> tuple[int, str]:
-    """Runs a command on a terminal of its own, presses Ctrl-C once it has shown something, and waits for its end.
+    """Run a command on its own terminal, press Ctrl-C when it has shown `until`, and wait for its end.
 
     Returns:
-        The exit code, and all that the terminal got.
+        The exit code, and everything that was shown.
     """
     import fcntl
     import pty
@@ -137,7 +137,7 @@ def on_a_terminal(rig: Rig, height: int, width: int, *arguments: str, until: byt
             )
             try:
                 data = os.read(ours, 65_536)
-            except OSError:  # its side is closed
+            except OSError:  # the command's side is closed
                 break
             if not data:
                 break

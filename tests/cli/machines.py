@@ -1,4 +1,4 @@
-"""Machines for tests of fleets: each has a home and an address of its own, and shares nothing with the others."""
+"""Machines for tests of fleets: each has its own home and address, and shares nothing with the others."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ class Machine:
     Args:
         home: the home of its user.
         host: its address.
-        port: where its agent listens.
-        command: what stands before each command that runs there.
-        true_start: whether a new Python starts for each, because a fork server has another network.
+        port: the port of its agent.
+        command: the prefix of each command that runs there.
+        true_start: whether to start a new Python for each command, because a fork server has another network.
     """
 
     def __init__(self, home: Path, host: str, port: int, command: Sequence[str] = (), true_start: bool = False) -> None:
@@ -43,7 +43,7 @@ class Machine:
         self._running: list[Running] = []
 
     def pancakes(self, *arguments: str, typed: str = "") -> subprocess.CompletedProcess[str]:
-        """Runs a command to its end, without a terminal; `typed` are the lines that it reads."""
+        """Run a command to its end, without a terminal; `typed` is its standard input."""
         return run(
             [*self.command, *PANCAKES, *arguments],
             given=typed,
@@ -55,19 +55,19 @@ class Machine:
         )
 
     def said(self, *arguments: str, typed: str = "") -> str:
-        """Runs a command that succeeds; returns what it said."""
+        """Run a command that must succeed, and return its output."""
         ended = self.pancakes(*arguments, typed=typed)
         assert ended.returncode == 0, ended.stderr
         return ended.stdout
 
     def begin(self, *arguments: str, typed: str = "") -> Running:
-        """Starts a command that goes on."""
+        """Start a command that keeps running."""
         lines = self.home / "typed"
         lines.write_text(typed)
         return self._run(["sh", "-c", 'exec "$@" < typed', "sh", *self.command, *PANCAKES, *arguments], whole=True)
 
     def agent(self, name: str, peers: Sequence[str] = (), rest: str = "") -> Running:
-        """Starts an agent of the fleet garage."""
+        """Start an agent of the fleet garage."""
         config = self.home / f"{name}.toml"
         config.write_text(
             f'schema = 1\ndevice.load = {{ driver = "host.load", rate_hz = 2 }}\n[agent]\nname = "{name}"\n'
@@ -81,20 +81,20 @@ class Machine:
         return running
 
     def bring(self, folder: str, other: Machine) -> None:
-        """Copies a folder from this home to that of another machine, as a memory stick would, and removes it here."""
+        """Move a folder from this home to that of another machine, as with a memory stick."""
         shutil.move(self.home / folder, other.home / folder)
 
     def close(self) -> None:
-        """Ends what runs there."""
+        """End all running commands."""
         for running in self._running:
             running.close()
 
 
 @contextmanager
 def machines(directory: Path, names: Sequence[str], kind: str) -> Iterator[list[Machine]]:
-    """Gives machines: `homes` on the loopback interface, or `namespaces` with a network each.
+    """Yield machines: `homes` on the loopback interface, or `namespaces` with a network each.
 
-    Machines in namespaces need root; where they cannot be had, the test is skipped, with the reason.
+    Machines in namespaces need root; if they are not available, the test is skipped, with the reason.
     """
     made: list[Machine] = []
     try:
@@ -109,7 +109,7 @@ def machines(directory: Path, names: Sequence[str], kind: str) -> Iterator[list[
             check()
         except NoNamespaces as error:
             pytest.skip(str(error))
-        with Namespaces() as spaces:  # the first is that of this thread, and of what it starts
+        with Namespaces() as spaces:  # the first one is that of this thread and its children
             places = [*spaces.places, *(spaces.add() for _ in names[1:])]
             for name, place in zip(names, places, strict=True):
                 command = () if place is places[0] else place.command

@@ -1,7 +1,6 @@
-"""Real processes for the tests of the command line: agents that run, and what `pancakes` says of them.
+"""Real processes for the tests of the command line: running agents, and `pancakes` commands.
 
-Everything of theirs is in the test's own directory, they listen on free ports of this machine, and tests wait for what
-they print.
+All their files are in the test's own directory, they listen on free ports, and tests wait for their output.
 """
 
 from __future__ import annotations
@@ -24,9 +23,9 @@ READY = "/kernel: ready"
 
 
 class Running:
-    """A process, and the lines that it has said on standard error; on standard output too if it is `whole`.
+    """A process, and its lines on standard error; with `whole`, also those on standard output.
 
-    An agent may be `ours`: it ends with this thread, and an interrupt at the terminal reaches the test, which ends it.
+    An agent may be `ours`: it ends with this thread. An interrupt at the terminal reaches only the test, which ends it.
     """
 
     def __init__(
@@ -63,7 +62,7 @@ class Running:
         self._lines.put(None)
 
     def hear(self, text: str) -> str:
-        """Waits for the next line that contains `text`, and returns it."""
+        """Wait for the next line that contains `text`, and return it."""
         until_s = time.monotonic() + PATIENCE_S
         while not self._silent:
             try:
@@ -72,22 +71,22 @@ class Running:
                 break
             if line is not None and text in line:
                 return line
-        raise AssertionError(f"{text!r} was never said, but:\n" + "\n".join(self.said))
+        raise AssertionError(f"{text!r} was never printed, but:\n" + "\n".join(self.said))
 
     def everything(self) -> str:
-        """Waits until no process holds its standard error open any more, and returns all that was said."""
+        """Wait until no process holds its standard error open, and return the whole output."""
         while not self._silent:
             self._next(PATIENCE_S)
         return "\n".join(self.said)
 
     def so_far(self) -> list[str]:
-        """Returns what it has said so far, without waiting for more."""
+        """Return the output so far, without waiting."""
         while not self._silent and not self._lines.empty():
             self._next(0.0)
         return self.said
 
     def ended(self) -> int:
-        """Waits for its end, and returns its exit code."""
+        """Wait for its end, and return its exit code."""
         code = self.process.wait(PATIENCE_S)
         self.everything()
         return code
@@ -101,7 +100,7 @@ class Running:
         return line
 
     def close(self) -> None:
-        """Kills it where it still runs, and forgets it."""
+        """Kill the process if it still runs, and release it."""
         if self.process.poll() is None:
             self.process.kill()
             self.process.wait(PATIENCE_S)
@@ -110,15 +109,15 @@ class Running:
         self._said_to.close()
 
     def wait_for_file(self, path: Path) -> None:
-        """Waits until a file is there, while the process runs."""
+        """Wait until a file exists, while the process runs."""
         until_s = time.monotonic() + PATIENCE_S
         while not path.exists():
             assert self.process.poll() is None, self.everything()
-            assert time.monotonic() < until_s, f"{path} is not there"
+            assert time.monotonic() < until_s, f"{path} does not exist"
             time.sleep(0.01)
 
     def signalled(self, number: int) -> tuple[int, float]:
-        """Sends a signal and waits for the end; returns the exit code, and the seconds that it took."""
+        """Send a signal, and wait for the end; return the exit code and the seconds that it took."""
         began_s = time.monotonic()
         self.process.send_signal(number)
         code = self.process.wait(PATIENCE_S)
@@ -126,11 +125,11 @@ class Running:
 
 
 INSECURE = "[service.network]\nsettings = { insecure = true }\n"
-"""What the file of an agent says that speaks over TCP without keys."""
+"""The configuration of an agent that uses TCP without keys."""
 
 
 class Rig:
-    """Starts agents and commands whose files are all in one directory."""
+    """Start agents and commands whose files are all in one directory."""
 
     def __init__(self, directory: Path) -> None:
         self.directory = directory
@@ -148,7 +147,7 @@ class Rig:
         self._running: list[Running] = []
 
     def config(self, name: str, rest: str = "", *, fleet: str = "test", agent: str = "", file: str = "") -> Path:
-        """Writes the configuration of an agent that listens at a free port, and makes its keys, unless it has none."""
+        """Write the configuration of an agent that listens at a free port, and make its keys unless it is insecure."""
         if "insecure = true" not in rest:
             self.keys.of_agent(fleet, name, "environment" if 'role = "environment"' in agent else "agent")
         text = f'schema = 1\n\n[agent]\nname = "{name}"\nfleet = "{fleet}"\nlisten = "tcp://127.0.0.1:0"\n{agent}\n{rest}\n'
@@ -157,7 +156,7 @@ class Rig:
         return path
 
     def install(self, name: str, entry_points: str, source: str) -> None:
-        """Installs a distribution of one module, `plugin_NAME`, as pip would leave it on the disk."""
+        """Install a distribution with one module, `plugin_NAME`, as pip would leave it on disk."""
         information = self.plugins / f"{name}-1.0.dist-info"
         information.mkdir()
         (information / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.0\n")
@@ -165,28 +164,28 @@ class Rig:
         (self.plugins / f"plugin_{name}.py").write_text(source)
 
     def run(self, *command: str, whole: bool = False, ours: bool = False, true_start: bool = False) -> Running:
-        """Starts a Python process; see `Running` for `whole` and `ours`, `Program` for `true_start`."""
+        """Start a Python process; see `Running` for `whole` and `ours`, `Program` for `true_start`."""
         running = Running([sys.executable, *command], self.environment, self.directory, whole, ours, true_start)
         self._running.append(running)
         return running
 
     def agent(self, config: Path | str, *options: str, ours: bool = False, true_start: bool = False) -> Running:
-        """Starts `pancakes-agent`; see `run`."""
+        """Start `pancakes-agent`; see `run`."""
         return self.run("-m", AGENT, "--config", str(config), *options, ours=ours, true_start=true_start)
 
     def ready(self, name: str, rest: str = "", *options: str, fleet: str = "test", agent: str = "") -> Running:
-        """Starts an agent and waits until it is ready."""
+        """Start an agent, and wait until it is ready."""
         running = self.agent(self.config(name, rest, fleet=fleet, agent=agent), *options)
         running.hear(READY)
         self.entry(running.pid)
         return running
 
     def launch(self, *arguments: str | Path) -> Running:
-        """Starts `pancakes launch`."""
+        """Start `pancakes launch`."""
         return self.run("-m", PANCAKES, "launch", *map(str, arguments), whole=True)
 
     def entry(self, pid: int) -> dict[str, Any]:
-        """Waits for a process's entry in the runtime directory, and returns it."""
+        """Wait for a process's entry in the runtime directory, and return it."""
         until_s = time.monotonic() + PATIENCE_S
         while time.monotonic() < until_s:
             for path in self.runtime.glob(f"*.{pid}.json"):
@@ -195,34 +194,34 @@ class Rig:
         raise AssertionError(f"the process {pid} is not in the runtime directory")
 
     def wait_until_gone(self, pid: int) -> None:
-        """Waits until a process has taken its entry away."""
+        """Wait until a process has removed its entry."""
         until_s = time.monotonic() + PATIENCE_S
         while any(self.runtime.glob(f"*.{pid}.json")):
             assert time.monotonic() < until_s, f"the process {pid} is still in the runtime directory"
 
     def address(self, running: Running) -> str:
-        """Returns where an agent listens for other machines."""
+        """Return the address at which an agent listens for other machines."""
         return self.addresses(running)[-1]
 
     def addresses(self, running: Running) -> list[str]:
-        """Returns all addresses at which an agent listens; at the first one the command line finds it."""
+        """Return all addresses at which an agent listens; the command line uses the first one."""
         listen: list[str] = self.entry(running.pid)["listen"]
         return listen
 
     def port(self, running: Running) -> int:
-        """Returns the port at which an agent listens."""
+        """Return the port at which an agent listens."""
         return int(self.address(running).rpartition(":")[2])
 
     def pancakes(
         self, *arguments: str, true_start: bool = False, given: str = "", **changed: str
     ) -> subprocess.CompletedProcess[str]:
-        """Runs a command to its end.
+        """Run a command to its end.
 
         Args:
             arguments: its command line.
-            true_start: whether a new Python starts, because the test is about that.
-            given: what it reads on its standard input.
-            changed: variables of its environment that are not as those of the others.
+            true_start: whether to start a new Python, because the test is about that.
+            given: its standard input.
+            changed: environment variables that differ from the rig's.
         """
         return run(
             pancakes(*arguments),
@@ -234,13 +233,13 @@ class Rig:
         )
 
     def listed(self, *arguments: str) -> list[dict[str, Any]]:
-        """Runs a command that prints JSON and succeeds; returns that."""
+        """Run a command that must succeed, and return its JSON output."""
         result = self.pancakes(*arguments, "--format", "json")
         assert result.returncode == 0, result.stderr
         rows: list[dict[str, Any]] = json.loads(result.stdout)
         return rows
 
     def close(self) -> None:
-        """Ends what still runs."""
+        """End all running processes."""
         for running in self._running:
             running.close()

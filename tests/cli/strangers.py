@@ -1,4 +1,4 @@
-"""Programs that connect to an agent's port and never ask it for anything: some are silent, some say hello and stay."""
+"""Programs that connect to an agent's port and send no request: some are silent, some send a hello and stay."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ class Stranger:
     """One connection.
 
     Attributes:
-        refusal: the sentence with which the agent refused it or ended it; empty while it has not.
-        is_up: whether the agent has taken it.
+        refusal: the sentence with which the agent refused or ended it; empty before that.
+        is_up: whether the agent has accepted it.
         closed: whether the agent has closed it.
     """
 
@@ -35,7 +35,7 @@ class Stranger:
             self._say(hello)
 
     def read(self) -> None:
-        """Takes what came, and answers pings."""
+        """Read what has arrived, and answer pings."""
         try:
             data = self.sock.recv(65_536)
         except ConnectionError:

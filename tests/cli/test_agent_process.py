@@ -1,4 +1,4 @@
-"""An agent as a process: how it begins, how it ends, and what it survives."""
+"""An agent as a process: its start, its end, and the faults that it survives."""
 
 import os
 import signal
@@ -19,7 +19,7 @@ STOPPED_WITHIN_S = 2.0
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT], ids=lambda number: number.name)
-def test_agent_stops_in_good_order_on_a_signal(rig: Rig, number: signal.Signals):
+def test_agent_stops_gracefully_on_a_signal(rig: Rig, number: signal.Signals):
     agent = rig.ready("a", '[device.load]\ndriver = "host.load"\nrate_hz = 50\n')
 
     code, took_s = agent.signalled(number)
@@ -30,7 +30,7 @@ def test_agent_stops_in_good_order_on_a_signal(rig: Rig, number: signal.Signals)
     assert not [path for path in rig.runtime.rglob("*") if not path.is_dir()]
 
 
-def test_agent_frees_a_simulated_world_before_python_ends(rig: Rig):
+def test_agent_frees_a_simulated_world_before_exit(rig: Rig):
     world = '[task.World]\ntype = "sim.world"\n[task.World.settings]\nbus = "tcp://127.0.0.1:0"\n'
     agent = rig.ready("w", world + 'robots.r = { model = "khepera3", x_m = 0.0, y_m = 0.0, theta_rad = 0.0 }\n')
 
@@ -39,7 +39,7 @@ def test_agent_frees_a_simulated_world_before_python_ends(rig: Rig):
     assert (code, "extern" in agent.everything()) == (0, False)
 
 
-def test_agent_hears_a_sigterm_after_it_was_frozen(rig: Rig, freeze: Callable[[Running], None]):
+def test_frozen_agent_handles_a_sigterm_when_continued(rig: Rig, freeze: Callable[[Running], None]):
     # The kernel then gives the signal to any thread, and Python wakes none for it.
     agent = rig.ready("a")
 
@@ -66,7 +66,7 @@ sys.modules["library"] = Library()  # which Python clears at its end
 """
 
 
-def test_slow_end_of_python_ends_no_agent_that_had_stopped(rig: Rig):
+def test_slow_python_exit_does_not_kill_a_stopped_agent(rig: Rig):
     rig.install("slow", "[pancakes.tasks]\nslow.Slow = plugin_slow:Slow\n", SLOW)
     agent = rig.agent(rig.config("a", '[task.Slow]\ntype = "slow.Slow"\n'), true_start=True)
     agent.hear(READY)
@@ -88,7 +88,7 @@ class Stuck(Task):
 
 @pytest.fixture
 def stuck(rig: Rig) -> Running:
-    """An agent with a task that never gives its thread back."""
+    """Return an agent with a task whose handler never returns."""
     rig.install("stuck", "[pancakes.tasks]\nstuck.Stuck = plugin_stuck:Stuck\n", STUCK)
     agent = rig.agent(rig.config("a", '[task.Stuck]\ntype = "stuck.Stuck"\n'))
     agent.hear("stuck from now on")
@@ -96,24 +96,24 @@ def stuck(rig: Rig) -> Running:
     return agent
 
 
-def test_agent_ends_in_time_though_a_task_is_stuck(stuck: Running):
+def test_agent_ends_in_time_with_a_stuck_task(stuck: Running):
     code, took_s = stuck.signalled(signal.SIGTERM)
 
     assert took_s < STOPPED_WITHIN_S + 0.2
     assert code in (0, 1)
 
 
-def test_agent_ends_at_once_on_the_same_signal_again(rig: Rig, stuck: Running):
+def test_agent_ends_at_once_on_a_second_signal(rig: Rig, stuck: Running):
     stuck.process.send_signal(signal.SIGTERM)
-    rig.wait_until_gone(stuck.pid)  # the first thing that it does when it is to stop
-    threading.Event().wait(2 * TWICE_S)  # sooner, it would be the same wish
+    rig.wait_until_gone(stuck.pid)  # the first step of its stop
+    threading.Event().wait(2 * TWICE_S)  # an earlier one would count as the same signal
     code, took_s = stuck.signalled(signal.SIGTERM)
 
     assert code == 1
     assert took_s < 1.0
 
 
-def test_agent_takes_two_signals_in_one_breath_for_one(rig: Rig):
+def test_agent_counts_two_simultaneous_signals_as_one(rig: Rig):
     """As `timeout` sends them: to the process, and to its group."""
     agent = rig.ready("a")
     agent.process.send_signal(signal.SIGTERM)
@@ -122,7 +122,7 @@ def test_agent_takes_two_signals_in_one_breath_for_one(rig: Rig):
     assert code == 0
 
 
-def test_agent_that_finds_its_place_taken_ends_with_a_sentence(rig: Rig):
+def test_agent_whose_port_or_name_is_taken_ends_with_an_error(rig: Rig):
     first = rig.ready("a")
     taken = rig.address(first)
     second, third = rig.config("a", file="second.toml"), rig.config("b")
@@ -153,7 +153,7 @@ class Exits(Service):
 """
 
 
-def test_agent_whose_root_fails_ends_and_answers(rig: Rig):
+def test_agent_with_a_failed_root_answers_and_ends(rig: Rig):
     rig.install("exits", "[pancakes.services]\nexits.Exits = plugin_exits:Exits\n", EXITS)
     agent = rig.ready("a", '[service.own]\ntype = "exits.Exits"\n')
 
@@ -168,7 +168,7 @@ def test_agent_whose_root_fails_ends_and_answers(rig: Rig):
     assert not [path for path in rig.runtime.rglob("*") if not path.is_dir()]
 
 
-def test_agent_that_cannot_run_says_why_though_it_does_not_end(rig: Rig) -> None:
+def test_agent_that_cannot_run_reports_why_before_it_ends(rig: Rig) -> None:
     stuck = (
         "import time; from pancakes.tools.cli.agent_process import Orders; orders = Orders(); orders.begin();"
         " orders.give_up('its port is in use'); orders.wait(60, print, print); time.sleep(60)"
@@ -182,7 +182,7 @@ def test_agent_that_cannot_run_says_why_though_it_does_not_end(rig: Rig) -> None
 
 
 @pytest.mark.parametrize("network", [INSECURE, ""], ids=["insecure", "with keys"])
-def test_agent_loses_only_the_link_that_breaks_the_protocol(rig: Rig, network: str):
+def test_broken_protocol_closes_only_that_link(rig: Rig, network: str):
     agent = rig.ready("a", network)
     for sent in (b"GET / HTTP/1.1\r\nHost: robot\r\n\r\n", struct.pack(">I", 10 * 1024 * 1024) + b"x" * 1000):
         with socket.create_connection(("127.0.0.1", rig.port(agent)), timeout=10.0) as stranger:
@@ -220,7 +220,7 @@ class Chatty(Task):
 """
 
 
-def test_agent_log_has_what_libraries_log_without_traceback(rig: Rig):
+def test_agent_log_has_library_logs_without_traceback(rig: Rig):
     rig.install("chatty", "[pancakes.tasks]\nchatty.Chatty = plugin_chatty:Chatty\n", LOGS)
 
     agent = rig.agent(rig.config("a", '[task.Chatty]\ntype = "chatty.Chatty"\n'))
@@ -238,7 +238,7 @@ agent.wait()
 """
 
 
-def test_agent_ends_with_the_process_that_launched_it(rig: Rig):
+def test_agent_ends_with_its_launcher(rig: Rig):
     parent = rig.run("-c", PARENT, str(rig.config("a")))
     parent.hear(READY)
 
@@ -247,7 +247,7 @@ def test_agent_ends_with_the_process_that_launched_it(rig: Rig):
     assert "service_stopped service=device" in parent.everything()  # which the agent had open as well, and closed
 
 
-def test_agent_does_not_begin_without_the_process_that_launched_it(rig: Rig):
+def test_agent_does_not_start_without_its_launcher(rig: Rig):
     agent = rig.agent(rig.config("a"), "--die-with-parent=1")  # our process is its parent, not that of number 1
 
     assert agent.ended() == 1
@@ -284,7 +284,7 @@ class Imported(Task):
 """
 
 
-def test_agent_that_is_idle_imports_nothing_heavy(rig: Rig):
+def test_idle_agent_imports_nothing_heavy(rig: Rig):
     rig.install("imported", "[pancakes.tasks]\nimported.Imported = plugin_imported:Imported\n", IMPORTED % (HEAVY,))
 
     config = f'{INSECURE}[task.Imported]\ntype = "imported.Imported"\n'
@@ -307,7 +307,7 @@ def test_help_imports_no_part_of_the_agent(rig: Rig):
     assert asked.everything() == "[]"
 
 
-def test_agent_of_the_example_for_everybody_runs(rig: Rig, request: pytest.FixtureRequest):
+def test_example_agent_for_everybody_runs(rig: Rig, request: pytest.FixtureRequest):
     agent = rig.agent(request.config.rootpath / "configs" / "single.toml")
     agent.hear(READY)
     rig.entry(agent.pid)
@@ -315,13 +315,13 @@ def test_agent_of_the_example_for_everybody_runs(rig: Rig, request: pytest.Fixtu
     assert agent.signalled(signal.SIGTERM)[0] == 0
 
 
-def test_hangup_begins_a_moved_log_file_again(rig: Rig):
+def test_hangup_reopens_a_moved_log_file(rig: Rig):
     """As `postrotate` of logrotate sends it; no other line comes meanwhile."""
     agent = rig.agent(rig.config("a", '[service.log]\nsettings = { file = "a.jsonl" }'))
     agent.hear(READY)
     path = rig.directory / "a.jsonl"
     agent.wait_for_file(path)
-    for number in (1, 2):  # twice: it is no wish to end at once
+    for number in (1, 2):  # twice: SIGHUP must not count as a second stop signal
         path.rename(rig.directory / f"moved.{number}.jsonl")
         agent.process.send_signal(signal.SIGHUP)
         agent.wait_for_file(path)

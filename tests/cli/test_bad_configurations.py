@@ -1,4 +1,4 @@
-"""`pancakes-agent` and a configuration that is not sound: every mistake at once, as sentences, exit code 4."""
+"""`pancakes-agent` with an invalid configuration: all faults at once, as sentences, exit code 4."""
 
 import pytest
 from cli.processes import Rig
@@ -20,7 +20,7 @@ rate_hz = -1
 """
 
 
-def test_agent_names_all_mistakes_of_its_configuration_at_once(rig: Rig):
+def test_agent_reports_all_configuration_faults_at_once(rig: Rig):
     path = rig.config("a", BAD)
     said = rig.agent(path, "--set", "clock.speed=fast")
     assert said.ended() == 4
@@ -41,13 +41,13 @@ def test_agent_names_all_mistakes_of_its_configuration_at_once(rig: Rig):
     assert not any("Traceback" in line for line in lines)
 
 
-def test_agent_check_only_checks(rig: Rig):
+def test_agent_check_starts_nothing(rig: Rig):
     assert rig.agent(rig.config("a"), "--check").ended() == 0
     assert rig.agent(rig.config("b", BAD), "--check").ended() == 4
     assert not rig.runtime.exists()
 
 
-def test_agent_needs_a_file_that_is_there(rig: Rig):
+def test_agent_needs_an_existing_file(rig: Rig):
     rig.config("agent1")
     said = rig.agent("agent.toml")
     assert said.ended() == 4
@@ -66,7 +66,7 @@ def test_agent_needs_a_file_that_is_there(rig: Rig):
         ({"service.log.settings.file": r"~/a\u0000b"}, "[service.log] settings.file"),
     ],
 )
-def test_path_with_a_nul_in_it_is_refused(rig: Rig, config: dict[str, object], key: str):
+def test_path_with_nul_is_refused(rig: Rig, config: dict[str, object], key: str):
     path = rig.config("a")
     sets = [word for name, value in config.items() for word in ("--set", f"{name}={_toml(value)}")]
     for check in ((), ("--check",)):
@@ -91,7 +91,7 @@ def _toml(value: object) -> str:
         (r'agent.local_group="a\u0000b"', "[agent] local_group", r"the group 'a\x00b' does not exist"),
     ],
 )
-def test_what_cannot_start_on_this_machine_is_a_warning(rig: Rig, set_: str, key: str, why: str):
+def test_check_warns_of_what_cannot_start_here(rig: Rig, set_: str, key: str, why: str):
     path = rig.config("a")
     checked = rig.agent(path, "--set", set_, "--check")
     assert checked.ended() == 0
@@ -102,7 +102,7 @@ def test_what_cannot_start_on_this_machine_is_a_warning(rig: Rig, set_: str, key
     assert "defect" not in started.everything() and "Traceback" not in started.everything()
 
 
-def test_addresses_of_this_machine_are_no_doubt(rig: Rig):
+def test_check_accepts_addresses_of_this_machine(rig: Rig):
     path = rig.config("a")
     for listen in ("tcp://127.0.0.1:7401", "tcp://0.0.0.0:0", "tcp://[::1]:0", "local://a"):
         checked = rig.agent(path, "--set", f'agent.listen=["{listen}"]', "--check")

@@ -1,4 +1,4 @@
-"""A disk was lost: what people see of that, with real processes."""
+"""A lost disk, as users see it, with real processes."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ TASKS = TASK + '[task.Stays]\ntype = "count.Count"\n'
 
 
 def begun(rig: Rig) -> tuple[Running, Running, str]:
-    """Returns an agent with two tasks, one that it has met, and what its file says of that one and a third."""
+    """Return an agent with two tasks, an agent that it has met, and the configuration of that one and of a third."""
     rig.install("count", "[pancakes.tasks]\ncount.Count = plugin_count:Count\n", SOURCE)
     b = rig.ready("b")
     c = rig.ready("c", agent=f'peers = ["{rig.address(b)}"]')

@@ -1,4 +1,4 @@
-"""`pancakes channel ...`: who is on the channels of agents that run, and the packets on them."""
+"""`pancakes channel ...`: the users of channels of running agents, and the packets on them."""
 
 import json
 from collections.abc import Callable, Iterator
@@ -47,7 +47,7 @@ def shared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Rig, Runn
 
 @pytest.fixture
 def agent(rig: Rig) -> Running:
-    """An agent of the test's own."""
+    """An agent for one test."""
     rig.install("walk", ENTRY_POINTS, SOURCE)
     return rig.ready("a", TASKS)
 
@@ -61,11 +61,11 @@ def full(level: float) -> str:
 
 
 def near(hz: float) -> Any:
-    """What is measured of a task at this rate: a busy machine misses ticks, and none invents any."""
+    """Return the expected measured rate of a task: a busy machine may miss ticks, but never adds any."""
     return pytest.approx(0.625 * hz, rel=0.8)  # from 1/8 to 9/8
 
 
-def test_channel_list_and_info_show_who_is_there(shared: tuple[Rig, Running]):
+def test_channel_list_and_info_show_subscribers_and_publishers(shared: tuple[Rig, Running]):
     rig, _ = shared
     row = next(row for row in rows_of(rig, "list", "a") if row["channel"] == "pond")
     assert (row["agent"], row["core"], row["subscribers"], row["waiting"], row["dropped"]) == ("a", False, 1, 0, 0)
@@ -85,7 +85,7 @@ def test_channel_list_and_info_show_who_is_there(shared: tuple[Rig, Running]):
         assert part in text
 
 
-def test_channel_that_is_not_there_is_refused_by_each_verb(shared: tuple[Rig, Running]):
+def test_missing_channel_is_refused_by_each_verb(shared: tuple[Rig, Running]):
     rig, _ = shared
     body = ("battery", full(0.5))
     for verb in (("info", "a/lake", "--for", "1s"), ("echo", "a/lake"), ("hz", "a/lake"), ("pub", "a/lake", *body)):
@@ -110,7 +110,7 @@ def test_channel_echo_prints_json_and_yaml(shared: tuple[Rig, Running]):
     assert lines[4:] == ["body:", "  bearings_rad: [0.0,1.0]", "  ranges_m: [0.25,0.75]", "  max_range_m: 2", "---"]
 
 
-def test_channel_echo_picks_fields_types_and_sources(shared: tuple[Rig, Running]):
+def test_channel_echo_selects_fields_types_and_sources(shared: tuple[Rig, Running]):
     rig, _ = shared
     fields = ("--field", "ranges_m.1", "--field", "packet.type")
     result = rig.pancakes("channel", "echo", "a/pond", *fields, "--count", "2")
@@ -126,7 +126,7 @@ def test_channel_echo_picks_fields_types_and_sources(shared: tuple[Rig, Running]
     assert rows_of(rig, "echo", "a/pond", "--from", "a/client/Wal", "--from", "alice", "--for", "500ms") == []
 
 
-def test_channel_echo_goes_on_until_ctrl_c(shared: tuple[Rig, Running]):
+def test_channel_echo_runs_until_ctrl_c(shared: tuple[Rig, Running]):
     rig, _ = shared
     with closing(LiveOutput(rig, "channel", "echo", "a/pond", "--format", "json")) as echo:
         assert echo.record("pose")["body"]["x_m"] == 1.0
@@ -151,7 +151,7 @@ for chosen in ("table", "json"):
 """
 
 
-def test_channel_echo_ends_when_its_reader_goes(shared: tuple[Rig, Running]):
+def test_channel_echo_ends_with_its_reader(shared: tuple[Rig, Running]):
     rig, _ = shared
     assert rig.run("-c", HEAD, whole=True).everything() == "0 ''\n0 ''"
 
@@ -173,7 +173,7 @@ def test_channel_echo_follows_an_agent_that_comes_back(rig: Rig, agent: Running,
     assert echo.interrupt() == 0
 
 
-def test_channel_echo_of_an_agent_that_stays_away_is_exit_code_3(agent: Running, start: Start):
+def test_channel_echo_of_a_lost_agent_exits_with_3(agent: Running, start: Start):
     forever = start("channel", "echo", "a/pond")
     counts = start("channel", "echo", "a/pond", "--count", "1000000", "--timeout", "0.5")
     ends_late = start("channel", "echo", "a/pond", "--for", "2500ms")
@@ -209,7 +209,7 @@ def test_channel_hz_measures_each_source_and_type(shared: tuple[Rig, Running]):
         assert hz.interrupt() == 0
 
 
-def test_channel_hz_is_of_mission_time_unless_asked(rig: Rig):
+def test_channel_hz_uses_mission_time_by_default(rig: Rig):
     rig.install("walk", ENTRY_POINTS, SOURCE)
     rig.ready("fast", TASKS, "--set", "clock.speed=4")
     (mission,) = rows_of(rig, "hz", "fast/pond", "--type", "sonar", "--for", "1s")
@@ -236,7 +236,7 @@ def test_channel_bw_counts_bytes_on_the_wire(shared: tuple[Rig, Running]):
 # pub -----------------------------------------------------------------------------------------------------------------
 
 
-def test_channel_pub_reaches_who_subscribes(shared: tuple[Rig, Running]):
+def test_channel_pub_reaches_subscribers(shared: tuple[Rig, Running]):
     rig, agent = shared
     (dry,) = rows_of(rig, "pub", "a/pond", "battery", full(0.5), "--dry-run")
     assert (dry["packets"], dry["subscribers"]) == (0, ["a/client/Watch"])
@@ -254,7 +254,7 @@ def test_channel_pub_reaches_who_subscribes(shared: tuple[Rig, Running]):
         assert result.returncode == 0 and "no component of a subscribes to battery" in result.stderr
 
 
-def test_channel_pub_goes_on_at_a_rate(shared: tuple[Rig, Running]):
+def test_channel_pub_repeats_at_a_rate(shared: tuple[Rig, Running]):
     rig, agent = shared
     (row,) = rows_of(rig, "pub", "a/pond", "battery", full(0.625), "--rate", "50", "--count", "5")
     assert row["packets"] == 5
@@ -299,7 +299,7 @@ OF_ACTUATORS = (
 )
 
 
-def test_channel_pub_says_which_actuator_refused_and_why(rig: Rig):
+def test_channel_pub_shows_refusals_of_actuators(rig: Rig):
     rig.install("stuck", OF_ACTUATORS, ACTUATORS)
     wheels = '[device.wheels]\ndriver = "stuck.Stuck"\n'
     rig.ready("a", wheels)

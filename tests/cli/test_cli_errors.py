@@ -13,7 +13,7 @@ from pancakes.tools.cli.exit_codes import sentences
 
 
 def ended_with(error: BaseException, capsys: pytest.CaptureFixture[str]) -> tuple[object, str]:
-    """The exit code of a command that raises an error, and what it says."""
+    """Return the exit code and the output of a command that raises an error."""
 
     @sentences()
     def command() -> None:
@@ -45,7 +45,7 @@ def test_error_is_a_sentence_and_an_exit_code(capsys: pytest.CaptureFixture[str]
         assert ended_with(error, capsys) == (code, said)
 
 
-def test_error_of_a_defect_is_a_sentence_unless_asked(
+def test_defect_is_a_sentence_unless_a_traceback_is_requested(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ):
     monkeypatch.delenv("PANCAKES_TRACEBACK", raising=False)
@@ -59,8 +59,8 @@ def test_error_of_a_defect_is_a_sentence_unless_asked(
 
 
 def verb_into(output: int, *verb: str) -> tuple[int, bytes]:
-    """What a process ends with whose output goes there: its exit code, and what it says on standard error."""
-    # As in a terminal: else Python keeps nothing of the output, and the end of the process has nothing to trip over.
+    """Run a verb with its output to a file; return its exit code and its standard error."""
+    # Buffered, as in a terminal: otherwise no output is left to be written at the end of the process.
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONUNBUFFERED"}
     ended = subprocess.run(
         [sys.executable, "-m", *verb], stdout=output, stderr=subprocess.PIPE, env=environment, check=False
@@ -79,7 +79,7 @@ LIST = ("pancakes.tools.cli.main", "plugin", "list")
 HELP = ("pancakes.tools.cli.main", "--help")
 
 
-def test_output_that_nobody_reads_ends_a_verb_with_141(checked: tuple[str, ...]):
+def test_verb_without_a_reader_exits_with_141(checked: tuple[str, ...]):
     reader, writer = os.pipe()
     os.close(reader)
     try:
@@ -90,14 +90,14 @@ def test_output_that_nobody_reads_ends_a_verb_with_141(checked: tuple[str, ...])
 
 
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="this system has no device that is always full")
-def test_output_to_a_full_disk_ends_a_verb_with_a_sentence(checked: tuple[str, ...]):
+def test_full_disk_ends_a_verb_with_a_sentence(checked: tuple[str, ...]):
     with open("/dev/full", "wb") as full:
         for verb in (LIST, (*LIST, "--format", "json"), checked, HELP):
             said = b"cannot write the output: No space left on device\n"
             assert verb_into(full.fileno(), *verb) == (1, said), verb
 
 
-def test_file_whose_name_is_no_text_can_be_checked(checked: tuple[str, ...]):
+def test_file_name_that_is_not_utf8_can_be_checked(checked: tuple[str, ...]):
     odd = checked[2].encode() + b"\xff"
     os.rename(checked[2], odd)
     ended = subprocess.run(

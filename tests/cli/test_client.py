@@ -1,4 +1,4 @@
-"""The client that all verbs stand on: one request, one reply from the agent itself."""
+"""The client that all verbs use: one request, one reply from the agent itself."""
 
 from collections.abc import Callable
 
@@ -54,12 +54,12 @@ def test_client_request_is_done_and_answered(agent: Running):
 
 @packet_type("test.soil")
 class Soil(Struct, frozen=True):
-    """What the plug-in below publishes has the same type, and another field."""
+    """A packet type whose name is that of the plug-in below, with another field."""
 
     temperature: str
 
 
-def test_client_tells_once_that_packets_cannot_be_read_here(rig: Rig, agent: Running):
+def test_client_reports_unreadable_packets_once(rig: Rig, agent: Running):
     rig.install("soil", SOIL_ENTRY_POINTS, SOIL)
     rig.ready("b", '[task.Dig]\ntype = "soil.Dig"\n')
     said: list[str] = []

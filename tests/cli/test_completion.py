@@ -1,4 +1,4 @@
-"""Completion in the shell: the names come from the agents that run, at that moment, and never an error."""
+"""Completion in the shell: names come from the running agents, and errors are never printed."""
 
 import shutil
 import subprocess
@@ -23,7 +23,7 @@ driver = "null.pose"
 
 
 def completed(rig: Rig, *words: str, shell: str = "bash", runtime: str = "") -> list[str]:
-    """What a shell is told that may stand in place of the last word."""
+    """Return the completions of the last word."""
     result = rig.pancakes(
         _PANCAKES_COMPLETE=f"{shell}_complete",
         # As the shells' scripts give them: bash and zsh one word a line, fish the word in question apart.
@@ -47,7 +47,7 @@ def shared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Rig, Runn
         yield rig, ant, bee
 
 
-def test_completion_of_tasks_names_the_agent_first(shared: tuple[Rig, Running, Running]):
+def test_completion_of_tasks_completes_the_agent_first(shared: tuple[Rig, Running, Running]):
     rig, _, _ = shared
     for shell in ("bash", "zsh", "fish"):
         assert completed(rig, "task", "stop", "", shell=shell) == ["ant/", "bee/"], shell
@@ -59,7 +59,7 @@ def test_completion_of_tasks_names_the_agent_first(shared: tuple[Rig, Running, R
     assert completed(rig, "task", "info", "c") == []
 
 
-def test_completion_knows_all_kinds_of_names(shared: tuple[Rig, Running, Running]):
+def test_completion_completes_all_kinds_of_names(shared: tuple[Rig, Running, Running]):
     rig, _, _ = shared
     assert completed(rig, "service", "stop", "bee/") == ["bee/log", "bee/device", "bee/network", "bee/client"]
     assert completed(rig, "agent", "info", "") == ["ant", "bee"]
@@ -99,7 +99,7 @@ def test_completion_without_agents_has_verbs_and_no_error(rig: Rig):
     assert completed(rig, "task", "stop", "--at", "nowhere", "") == []
 
 
-def test_completion_of_names_that_two_have(rig: Rig):
+def test_completion_tells_equal_names_apart(rig: Rig):
     """Two fleets have an agent of one name, and one agent has a task twice."""
     rig.install(
         "twice",

@@ -1,4 +1,4 @@
-"""`pancakes config ...`: files are checked before anything runs, and shown as an agent will take them."""
+"""`pancakes config ...`: check files before anything runs, and show the effective configuration."""
 
 import json
 import tomllib
@@ -43,7 +43,7 @@ def test_config_check_takes_files_and_folders(rig: Rig):
     assert invoked("config", "check", str(good)).exit_code == 0
 
 
-def test_config_check_of_a_fleet_file_takes_the_files_it_names(rig: Rig):
+def test_config_check_of_a_fleet_file_checks_its_agents(rig: Rig):
     rig.config("a")
     (rig.directory / "fleet.toml").write_text(
         "schema = 1\n[fleet]\nname = 'f'\n[agent.a]\n[agent.b]\nconfig = 'a.toml'\n"
@@ -73,8 +73,8 @@ TASKS = {
 }
 
 
-def test_config_check_names_plugins_that_cannot_be_loaded(rig: Rig):
-    """One that the file names is a fault, also for `pancakes-agent --check`; another one is a warning."""
+def test_config_check_reports_plugins_that_cannot_be_loaded(rig: Rig):
+    """A broken plug-in that the file names is a fault, also for `pancakes-agent --check`; others are warnings."""
     rig.install("broken", "[pancakes.packets]\nbroken = plugin_broken\n", "import there_is_no_such_module\n")
     other = rig.pancakes("config", "check", str(rig.config("b")))
     assert other.returncode == 0 and "warning: the packet module 'broken' of broken 1.0" in other.stderr
@@ -92,7 +92,7 @@ def test_config_check_names_plugins_that_cannot_be_loaded(rig: Rig):
             assert reason in line and "warning" not in line
 
 
-def test_config_show_can_be_run(rig: Rig):
+def test_config_show_prints_a_valid_configuration(rig: Rig):
     path = rig.config("a", '[device.load]\ndriver = "host.load"\nrate_hz = 2\n')
     result = rig.pancakes("config", "show", str(path), "--set", "clock.speed=5")
     shown = tomllib.loads(result.stdout)
@@ -127,7 +127,7 @@ def test_config_schema_is_json_or_a_table():
     assert ["[task.NAME]", "migrate.below", "number"] in [line[:3] for line in lines]
 
 
-def test_config_check_of_agents_on_hosts_checks_what_is_known_here(rig: Rig):
+def test_config_check_of_remote_agents_skips_missing_plugins(rig: Rig):
     fleet = rig.directory / "fleet.toml"
     fleet.write_text('schema = 1\n[fleet]\nname = "test"\n[agent.a]\nhost = "pi@robot1"\n')
     known = '[device.load]\ndriver = "host.load"\nrate_hz = 2\nsettings = { wrong = 1 }\n'

@@ -1,4 +1,4 @@
-"""What loses something asks on a terminal, and needs --force elsewhere: one rule for all verbs."""
+"""A verb that loses data asks on a terminal, and needs --force elsewhere: one rule for all verbs."""
 
 import os
 import pty
@@ -12,7 +12,7 @@ POINTS = "[pancakes.tasks]\ncount.Count = plugin_count:Count\n"
 
 
 def answered(rig: Rig, answer: str, *arguments: str) -> tuple[int, str]:
-    """Runs a command on a terminal, and answers its question; returns its exit code and what the terminal got."""
+    """Run a command on a terminal, and answer its question; return its exit code and output."""
     ours, theirs = pty.openpty()
     with Program(
         pancakes(*arguments),
@@ -29,14 +29,14 @@ def answered(rig: Rig, answer: str, *arguments: str) -> tuple[int, str]:
         try:
             while data := os.read(ours, 65_536):
                 shown += data
-        except OSError:  # its side is closed
+        except OSError:  # the command's side is closed
             pass
         os.close(ours)
         return process.wait(), " ".join(shown.decode().split())
 
 
 @pytest.mark.parametrize("verb", ["remove"])
-def test_a_verb_that_loses_something_asks_on_a_terminal(rig: Rig, verb: str) -> None:
+def test_verb_that_loses_data_asks_on_a_terminal(rig: Rig, verb: str) -> None:
     rig.install("count", POINTS, SOURCE)
     rig.ready("a")
     assert rig.pancakes("task", "create", "a/Count", "--type", "count.Count").returncode == 0
@@ -58,7 +58,7 @@ class Count(Task):
 
 
 @pytest.mark.parametrize("words", ["task restart a/Count --drop-state", "service restart a/client --drop-state"])
-def test_what_drops_a_state_asks_first(rig: Rig, words: str) -> None:
+def test_dropping_a_state_asks_first(rig: Rig, words: str) -> None:
     rig.install("count", POINTS, STATED)
     rig.ready("a", '[task.Count]\ntype = "count.Count"\n')
     refused = rig.pancakes(*words.split())
@@ -85,7 +85,7 @@ def test_revoke_asks_first(rig: Rig) -> None:
     assert rig.pancakes("fleet", "can", "bob", "look", "a").returncode == 1
 
 
-def test_down_names_what_it_ends_and_asks_before_it_ends_several_fleets(rig: Rig) -> None:
+def test_down_of_several_fleets_asks_first(rig: Rig) -> None:
     agents = [rig.ready("a"), rig.ready("b"), rig.ready("c", fleet="other")]
     what = "this stops c of the fleet other; a, b of the fleet test. To choose one fleet, pass --fleet"
     refused = rig.pancakes("down")
@@ -101,7 +101,7 @@ def test_down_names_what_it_ends_and_asks_before_it_ends_several_fleets(rig: Rig
     assert [agent.ended() for agent in agents] == [0, 0, 0]
 
 
-def test_down_of_several_fleets_takes_force(rig: Rig) -> None:
+def test_down_of_several_fleets_accepts_force(rig: Rig) -> None:
     agents = [rig.ready("a"), rig.ready("c", fleet="other")]
     code, shown = answered(rig, "y", "down")
     assert code == 0 and "ended" in shown and [agent.ended() for agent in agents] == [0, 0]

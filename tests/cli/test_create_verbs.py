@@ -1,4 +1,4 @@
-"""`pancakes task create|remove` and `config show AGENT`, on agents that run."""
+"""`pancakes task create|remove` and `config show AGENT`, on running agents."""
 
 import signal
 
@@ -25,7 +25,7 @@ class Count(Task):
 ENTRY_POINTS = "[pancakes.tasks]\ncount.Count = plugin_count:Count\n"
 
 
-def test_task_create_outlives_its_agent_and_fits_a_file(rig: Rig):
+def test_created_task_survives_a_restart_and_fits_a_file(rig: Rig):
     rig.install("count", ENTRY_POINTS, SOURCE)
     first = rig.ready("a")
     options = ("--type", "count.Count", "--set", "step=100", "--rate", "40", "--key", "restart.policy=no")
@@ -70,7 +70,7 @@ def test_task_create_outlives_its_agent_and_fits_a_file(rig: Rig):
     assert "task.Count" not in rig.pancakes("config", "show", "a").stdout
 
 
-def test_task_remove_is_asked_where_the_task_is(rig: Rig):
+def test_task_remove_needs_the_present_agent(rig: Rig):
     rig.install("count", ENTRY_POINTS, SOURCE)
     first = rig.ready("a")
     rig.ready("b", agent=f'peers = ["{rig.address(first)}"]')
@@ -84,7 +84,7 @@ def test_task_remove_is_asked_where_the_task_is(rig: Rig):
     assert rig.pancakes("task", "remove", "b/Count", "--force").returncode == 0
 
 
-def test_config_show_takes_a_file_or_an_agent(rig: Rig):
+def test_config_show_accepts_a_file_or_an_agent(rig: Rig):
     rig.ready("a")
     for name in ("a", "c"):
         (rig.directory / name).mkdir()

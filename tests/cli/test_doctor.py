@@ -1,4 +1,4 @@
-"""`pancakes doctor`: what is wrong is named with what to do about it, and what is in order is not."""
+"""`pancakes doctor`: faults are reported with advice, and healthy parts are not."""
 
 import json
 import os
@@ -17,7 +17,7 @@ from pancakes.util.runtime_dir import RunningAgent
 
 
 def diagnosis(rig: Rig, *arguments: str) -> tuple[int, list[tuple[str, str, str]]]:
-    """The exit code, and level, subject and text of all that was found."""
+    """Return the exit code, and level, subject and text of all findings."""
     result = rig.pancakes("doctor", *arguments, "--format", "json")
     assert result.stderr == ""
     return result.returncode, [(row["level"], row["about"], row["text"]) for row in json.loads(result.stdout)]
@@ -27,10 +27,10 @@ def levels(findings: Iterator[Finding] | list[Finding]) -> list[tuple[str, str]]
     return [(finding.level, finding.about) for finding in findings]
 
 
-# As a person runs it ---------------------------------------------------------------------------------------------
+# As a command ----------------------------------------------------------------------------------------------------
 
 
-def test_doctor_of_a_machine_where_all_is_well(rig: Rig):
+def test_doctor_of_a_healthy_machine(rig: Rig):
     rig.ready("a")
     code, found = diagnosis(rig)
     assert code == 0
@@ -53,7 +53,7 @@ class Boom(Task):
 """
 
 
-def test_doctor_finds_what_is_wrong_with_agents(rig: Rig, freeze: Callable[[Running], None]):
+def test_doctor_finds_faults_of_agents(rig: Rig, freeze: Callable[[Running], None]):
     rig.install("boom", "[pancakes.tasks]\nboom.Boom = plugin_boom:Boom\n", RAISES)
     task = '[task.Boom]\ntype = "boom.Boom"\nrestart = { policy = "no" }\n'
     away = rig.ready("away", task, agent='peers = ["tcp://127.0.0.1:1"]')
@@ -73,7 +73,7 @@ def test_doctor_finds_what_is_wrong_with_agents(rig: Rig, freeze: Callable[[Runn
     gave_up = "was given up: ValueError: the wheel came off at plugin_boom.py:7 in tick"
     assert texts["error", "away/Boom"].partition(" (")[0] == gave_up
     assert texts["warning", "away"] == "is not connected to its peer at tcp://127.0.0.1:1"
-    assert "sleeps" in texts["ok", "agents"]  # also of a link that ends only now
+    assert "sleeps" in texts["ok", "agents"]  # also about a link that ends only now
     still = f"its process {suspended.pid} is suspended: it neither answers nor drives anything"
     assert texts["error", "still"] == still
     assert "did not answer" in texts["error", "agents"]
@@ -114,7 +114,7 @@ def service(**other: Any) -> dict[str, Any]:
 
 
 def agent(name: str = "a", **other: Any) -> dict[str, Any]:
-    """What a healthy agent says of itself."""
+    """Return the description of a healthy agent."""
     return {
         "agent": name,
         "fleet": "test",
@@ -138,13 +138,13 @@ def found_in(*agents: dict[str, Any], reads: tuple[dict[str, Any], ...] = ()) ->
     return list(check_agents(Facts(agents, describe=lambda name, target: {"reads": reads})))
 
 
-def test_doctor_names_an_agent_that_goes_by_an_old_roster():
+def test_doctor_reports_an_agent_with_an_old_roster():
     found = found_in(agent("a", roster=3), agent("b", roster=5), agent("c"))
     assert levels(found) == [("warning", "a"), ("ok", "b"), ("ok", "c")]
     assert found[0].text == "has the roster 3 of its fleet, and others have the roster 5"
 
 
-def test_doctor_finds_a_healthy_agent_in_order():
+def test_doctor_accepts_a_healthy_agent():
     assert levels(found_in(agent())) == [("ok", "a")]
     (found,) = found_in(agent(mesh={"peers": [ROUTED], "few": None, "asleep": [], "addresses": []}))
     assert found.text == "is ready, with 1 task running and 1 neighbour; 1 link through routers"
@@ -156,7 +156,7 @@ def test_doctor_finds_a_healthy_agent_in_order():
     assert found.level == "ok" and found.text.endswith("of 300 known agents")
 
 
-def test_doctor_names_builds_that_differ():
+def test_doctor_reports_different_builds():
     def built(build: str) -> dict[str, str]:
         return {"version": __version__, "build": build}
 
@@ -171,7 +171,7 @@ def test_doctor_names_builds_that_differ():
 STATIC = {"address": "tcp://x:1", "static": True, "name": "c", "failures": 3, "refused": "", "rests": False}
 
 
-def test_agent_without_a_plugin_of_others_is_named():
+def test_doctor_reports_an_agent_without_a_plugin():
     bare = agent("bare", plugins={})
     found = found_in(agent("a"), bare, agent("stranger", fleet="other", plugins={}))
     assert [(finding.level, finding.about) for finding in found if "pancakes-x" in finding.text] == [
@@ -292,14 +292,14 @@ WRONG: list[tuple[dict[str, Any], str, str, str]] = [
 ]
 
 
-def test_doctor_names_what_is_wrong_with_an_agent():
+def test_doctor_reports_faults_of_an_agent():
     for changed, level, about, text in WRONG:
         (found,) = (finding for finding in found_in(agent(**changed)) if finding.level != "ok")
         assert (found.level, found.about) == (level, about), changed
         assert text in found.text and found.advice, changed
 
 
-def test_doctor_names_who_loses_packets_that_it_wants_all_of():
+def test_doctor_reports_readers_that_lose_packets():
     newest = {"channel": "system", "limit": 1, "dropped": 0}
     every = {"channel": "ctrl", "limit": 64, "dropped": 7}
 
@@ -309,13 +309,13 @@ def test_doctor_names_who_loses_packets_that_it_wants_all_of():
     assert finding.text.startswith("lost 7 packets on ctrl")
 
 
-def test_doctor_takes_silence_for_an_error_except_sleep():
+def test_doctor_reports_silent_agents_unless_asleep():
     sentences = ["b did not answer: its network sleeps for 8.0 s", "c did not answer"]
     found = list(check_agents(Facts(silent=sentences, asleep=sentences[:1])))
     assert [(finding.level, finding.text) for finding in found] == [("ok", sentences[0]), ("error", sentences[1])]
 
 
-def test_doctor_names_names_that_are_borne_twice():
+def test_doctor_reports_duplicate_names():
     own = os.getpid()
     twins = [RunningAgent("a", "north", "agent", (), own), RunningAgent("a", "north", "agent", (), own)]
     assert levels(check_entries(Facts(entries=twins)))[0] == ("error", "a")
@@ -324,7 +324,7 @@ def test_doctor_names_names_that_are_borne_twice():
     assert levels(check_entries(Facts(entries=namesakes[:1]))) == []
 
 
-def test_doctor_runs_each_check_that_is_registered(monkeypatch):
+def test_doctor_runs_each_registered_check(monkeypatch):
     def said_of(about: str) -> Iterator[Finding]:
         yield Finding("error", about, "is found")
 

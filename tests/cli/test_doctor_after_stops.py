@@ -1,4 +1,4 @@
-"""What `pancakes doctor` says of what a person has stopped, asked of an agent in a test."""
+"""The findings of `pancakes doctor` about tasks and services that a person has stopped."""
 
 import pytest
 
@@ -15,7 +15,7 @@ class Plain(Service):
 
 
 class Blind(Task):
-    """Wants a device that is not there."""
+    """Requires a missing device."""
 
     requires = ("pose",)
 
@@ -35,19 +35,19 @@ def findings(agent):
     return [(finding.level, finding.about, finding.text, finding.advice) for finding in found]
 
 
-def test_tasks_and_devices_that_were_stopped_are_in_order(agent):
+def test_stopped_tasks_and_devices_are_in_order(agent):
     assert [row[:2] for row in findings(agent)] == [("ok", "a")]
     for target in ("client/Home", "plain/Odd", "device/load"):
         assert agent.ask(Stop(target)).ok
     assert [row[:2] for row in findings(agent)] == [("ok", "a")]
 
 
-def test_a_start_that_was_refused_is_in_order_for_the_others(agent):
+def test_refused_start_does_not_affect_other_findings(agent):
     assert not agent.ask(Start("Blind")).ok
     assert [row[:2] for row in findings(agent)] == [("ok", "a")]
 
 
-def test_a_service_that_was_stopped_is_named_with_who_asked(agent):
+def test_stopped_service_is_reported_with_the_requester(agent):
     assert agent.ask(Stop("plain")).ok
     (found,) = findings(agent)
     assert found[:2] == ("warning", "a/plain")
@@ -56,7 +56,7 @@ def test_a_service_that_was_stopped_is_named_with_who_asked(agent):
     assert [row[:2] for row in findings(agent)] == [("ok", "a")]
 
 
-def test_what_waits_for_a_device_is_named():
+def test_task_that_waits_for_a_device_is_reported():
     with Fleet() as fleet:
         agent = fleet.start("a", tasks={"Blind": {"type": Blind, "service": "plain"}}, services={"plain": Plain})
         found = findings(agent)
@@ -68,7 +68,7 @@ class Boom(Task):
         raise ValueError("the wheel came off")
 
 
-def test_a_task_that_was_given_up_is_named_once_and_no_more_after_a_stop():
+def test_given_up_task_is_reported_until_it_is_stopped():
     with Fleet() as fleet:
         agent = fleet.start("a", tasks={"Boom": {"type": Boom, "restart": {"at_most": 1}}})
         fleet.run_for(5.0)

@@ -1,4 +1,4 @@
-"""What `pancakes doctor` says of devices: one that is silent, and one that misses too many readings."""
+"""The findings of `pancakes doctor` about devices that are silent or miss too many readings."""
 
 import pytest
 from cli.test_doctor import agent, found_in, levels, task
@@ -9,23 +9,23 @@ def device(**readings):
     return agent(tasks=[task("gps", service="device", device="pose", readings=told)])
 
 
-def test_doctor_names_a_device_that_is_silent():
+def test_doctor_reports_a_silent_device():
     (found,) = found_in(device(silent_s=45.2))
     assert (found.level, found.about) == ("warning", "a/gps")
     assert found.text == "has had no reading for 45 s" and found.advice
 
 
-def test_doctor_names_a_device_that_misses_readings():
+def test_doctor_reports_a_device_that_misses_readings():
     (found,) = found_in(device(missed=34, why="OSError: [Errno 121] Remote I/O error"))
     assert (found.level, found.about) == ("warning", "a/gps")
     assert "missed 34 of 1034 readings or commands (3.3 %)" in found.text and "Errno 121" in found.text
 
 
 @pytest.mark.parametrize(("missed", "came", "share"), [(30, 0, "100 %"), (997, 3, "99.7 %"), (2, 98, "2 %")])
-def test_doctor_writes_the_share_of_misses_out(missed, came, share):
+def test_doctor_prints_the_share_of_misses(missed, came, share):
     (found,) = found_in(device(missed=missed, came=came, why="unplugged"))
     assert f"missed {missed} of {missed + came} readings or commands ({share})" in found.text
 
 
-def test_a_miss_now_and_then_is_no_finding():
+def test_rare_misses_are_not_reported():
     assert levels(found_in(device(missed=3, why="noise"))) == [("ok", "a")]

@@ -1,4 +1,4 @@
-"""`pancakes down`: agents end in order, and it is waited for; who does not end is named."""
+"""`pancakes down`: it stops agents in order and waits for them, and reports those that do not end."""
 
 import json
 from collections.abc import Callable
@@ -23,7 +23,7 @@ def rows(text: str) -> list[tuple[str, str]]:
     return [(row["agent"], row["done"]) for row in json.loads(text)]
 
 
-def test_down_ends_all_agents_in_order_worlds_last(rig: Rig):
+def test_down_stops_worlds_last(rig: Rig):
     agents = pair(rig)
     result = rig.pancakes("down", "--dry-run", "--format", "json")
     assert rows(result.stdout) == [("a", "dry run"), ("b", "dry run")]
@@ -38,8 +38,8 @@ def test_down_ends_all_agents_in_order_worlds_last(rig: Rig):
     assert (result.returncode, result.stdout, result.stderr) == (0, "", "no agent runs on this machine\n")
 
 
-def test_down_ends_only_agents_that_are_meant(rig: Rig):
-    """At an address they are named, or all of them are meant with --all."""
+def test_down_stops_only_selected_agents(rig: Rig):
+    """At an address, agents must be named, or --all given."""
     a, b = pair(rig)
     path = rig.directory / "quiet.toml"
     path.write_text('schema = 1\n[agent]\nname = "quiet"\n')  # without a port
@@ -52,14 +52,14 @@ def test_down_ends_only_agents_that_are_meant(rig: Rig):
     assert (a.ended(), quiet.ended(), b.process.poll()) == (0, 0, None)
 
 
-def test_down_names_an_agent_that_there_is_not(rig: Rig):
+def test_down_reports_a_missing_agent(rig: Rig):
     rig.ready("lamp")
     result = rig.pancakes("down", "lamp", "lmp", "--format", "json")
     assert (result.returncode, rows(result.stdout)) == (3, [("lamp", "ended")])
     assert "there is no agent 'lmp', did you mean 'lamp'?" in result.stderr
 
 
-def test_down_names_an_agent_that_does_not_answer(rig: Rig, freeze: Callable[[Running], None]):
+def test_down_reports_a_silent_agent(rig: Rig, freeze: Callable[[Running], None]):
     _, b = pair(rig)
     freeze(b)
     result = rig.pancakes("down", "--timeout", "2", "--format", "json")
@@ -73,7 +73,7 @@ def test_down_names_an_agent_that_does_not_answer(rig: Rig, freeze: Callable[[Ru
     assert b.process.poll() is None
 
 
-def test_down_ends_an_agent_whose_network_sleeps_by_its_process(rig: Rig):
+def test_down_signals_an_agent_whose_network_sleeps(rig: Rig):
     _, b = pair(rig)
     assert rig.pancakes("service", "stop", "b/network", "--for", "10min").returncode == 0
     dry = rig.pancakes("down", "--timeout", "1", "--dry-run", "--format", "json")
@@ -85,7 +85,7 @@ def test_down_ends_an_agent_whose_network_sleeps_by_its_process(rig: Rig):
     assert b.ended() == 0
 
 
-def test_down_names_an_agent_that_does_not_end_in_time(rig: Rig):
+def test_down_reports_an_agent_that_does_not_end(rig: Rig):
     rig.install("stuck", "[pancakes.tasks]\nstuck.Stuck = plugin_stuck:Stuck\n", STUCK)
     agent = rig.ready("a", '[task.Stuck]\ntype = "stuck.Stuck"\n')
     result = rig.pancakes("down", "a", "--timeout", "1")

@@ -1,4 +1,4 @@
-"""`--dry-run`: the agent says whether it would do it, or why not, and nothing changes."""
+"""`--dry-run`: the agent reports whether it would do it, or why not, and nothing changes."""
 
 from typing import Any
 
@@ -50,13 +50,13 @@ REFUSED = (
 
 
 def everything(rig: Rig) -> list[Any]:
-    """What would differ if anything had been done."""
+    """Return everything that a command might have changed."""
     keys = ("service", "task", "state", "incarnation", "rate_hz", "reason")
     tasks = rig.listed("task", "list", "--long")
     return [*([row[key] for key in keys] for row in tasks), *rig.listed("service", "list")]
 
 
-def test_dry_run_changes_nothing_and_refuses_what_would_be_refused(rig: Rig):
+def test_dry_run_changes_nothing_and_checks_everything(rig: Rig):
     rig.install("count", "[pancakes.tasks]\ncount.Count = plugin_count:Count\n", SOURCE)
     agent = rig.ready("a", TASKS)
     before = everything(rig)

@@ -1,4 +1,4 @@
-"""What `pancakes doctor` says of the fences of actuators."""
+"""The findings of `pancakes doctor` about the fences of actuators."""
 
 from pancakes.tools.cli.verbs.agent_checks import check_fences
 from pancakes.tools.cli.verbs.checks import Facts
@@ -12,7 +12,7 @@ def found_in(row):
     return list(check_fences("a", {"task": "wheels", "service": "device"}, facts))
 
 
-def test_fence_check_finds_nothing_where_a_task_is_or_will_be_obeyed():
+def test_fence_check_accepts_tasks_that_are_obeyed():
     for seen, owner_has, obeyed in (
         ("4@a", "4@a", True),
         ("4@a", "9@b", False),  # it has moved, and has not commanded the actuator yet
@@ -23,7 +23,7 @@ def test_fence_check_finds_nothing_where_a_task_is_or_will_be_obeyed():
         assert list(found_in(row)) == [], row
 
 
-def test_fence_check_names_a_task_that_an_actuator_refuses():
+def test_fence_check_reports_a_refused_task():
     for seen, owner_has in (("10@z", "9@a"), ("9@b", "9@a")):
         (finding,) = found_in({**ROW, "seen": seen, "owner_has": owner_has, "obeyed": False})
         assert (finding.level, finding.about) == ("error", "a/device/wheels")

@@ -1,4 +1,4 @@
-"""`pancakes task fence`, on an agent that runs."""
+"""`pancakes task fence`, on a running agent."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ type = "circle.Circle"
 """
 
 
-def test_task_fence_shows_and_sets_right_what_is_too_high(rig: Rig):
+def test_task_fence_shows_and_corrects_a_high_epoch(rig: Rig):
     rig.install("circle", ENTRY_POINTS, SOURCE)
     agent = rig.ready("a", CONFIG)
     (row,) = rig.listed("task", "fence", "a/wheels")

@@ -1,4 +1,4 @@
-"""The first hour with a fleet (docs/security.md), between machines that share nothing but a network."""
+"""The first hour with a fleet (docs/security.md), between machines that share only a network."""
 
 from __future__ import annotations
 
@@ -21,19 +21,19 @@ def three(request, tmp_path) -> Iterator[list[Machine]]:
 
 
 def enrolled(laptop: Machine, machine: Machine, *arguments: str) -> str:
-    """Lets a machine in with a code; returns what `join` said there."""
+    """Admit a machine with a code; return the output of `join` there."""
     waiting = laptop.begin("fleet", *arguments, "--host", laptop.host, "--port", "0", typed=ONCE)
     code = waiting.hear("pancakes fleet join ").rpartition(" ")[2]
     said = machine.said("fleet", "join", code)
     waiting.hear(f"{arguments[1]} has joined from {machine.host}.")
     assert waiting.ended() == 0
     again = machine.pancakes("fleet", "join", code)
-    assert again.returncode == 1 and "connection refused. Does pancakes fleet enrol still wait there?" in again.stderr
+    assert again.returncode == 1 and "connection refused. Is pancakes fleet enrol still waiting there?" in again.stderr
     return said
 
 
 def carried(laptop: Machine, machine: Machine, *arguments: str) -> str:
-    """Lets a machine in with a folder; returns what `join` said there."""
+    """Admit a machine with a folder; return the output of `join` there."""
     laptop.said("fleet", *arguments, "--out", "stick", typed=ONCE)
     laptop.bring("stick", machine)
     said = machine.said("fleet", "join", "stick")
@@ -47,7 +47,7 @@ def agents(laptop: Machine, at: Machine) -> dict[str, dict]:
 
 
 @pytest.mark.parametrize("three", ["homes", "namespaces"], indirect=True)
-def test_first_hour_of_two_robots_that_join_and_are_revoked(three):
+def test_first_hour_of_two_robots(three):
     laptop, robot1, robot2 = three
     said = enrolled(laptop, robot1, "enrol", "agent1", "--group", "field")
     assert "This machine is agent1 of the fleet garage" in said and "has not left this machine" in said
@@ -87,7 +87,7 @@ def test_first_hour_of_two_robots_that_join_and_are_revoked(three):
     one.hear("agent2 (agent, tcp://")
 
 
-def test_first_hour_of_a_person_who_lacks_a_right(three):
+def test_first_hour_of_a_person_without_a_right(three):
     laptop, robot1, desk = three
     enrolled(laptop, robot1, "enrol", "agent1")
     said = carried(laptop, desk, "enrol", "bob", "--role", "observer")
@@ -105,7 +105,7 @@ def test_first_hour_of_a_person_who_lacks_a_right(three):
     assert desk.pancakes("task", "stop", "agent1/load", *at).returncode == 0
 
 
-def test_first_hour_with_a_wrong_password_gives_nothing_out(three):
+def test_first_hour_with_a_wrong_password_issues_nothing(three):
     laptop, robot1, _ = three
     refused = laptop.pancakes("fleet", "enrol", "agent1", "--out", "stick", typed="guess\n")
     assert refused.returncode == 1 and "password" in refused.stderr.lower() and "Traceback" not in refused.stderr
@@ -115,7 +115,7 @@ def test_first_hour_with_a_wrong_password_gives_nothing_out(three):
 
 
 def test_first_hour_leaves_no_secret_behind(three):
-    """Neither the key, nor the code, nor the password: not by an agent that says everything, nor by a command."""
+    """Neither an agent with debug logs nor a command leaves the key, the code or the password anywhere."""
     laptop, robot1, _ = three
     waiting = laptop.begin("fleet", "enrol", "agent1", "--host", laptop.host, "--port", "0", typed=ONCE)
     code = waiting.hear("pancakes fleet join ").rpartition(" ")[2]

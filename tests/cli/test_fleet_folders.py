@@ -1,4 +1,4 @@
-"""What `pancakes fleet` refuses on one machine: no key is overwritten, and none is taken that does not fit."""
+"""`pancakes fleet` on one machine: it overwrites no key, and refuses keys that do not fit."""
 
 from __future__ import annotations
 
@@ -38,14 +38,14 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Run:
     return ran
 
 
-def test_fleet_init_founds_none_in_the_place_of_another(run: Run):
+def test_fleet_init_refuses_an_existing_fleet(run: Run):
     key = (key_store.fleets() / "garage" / "authority.key").read_bytes()
     with pytest.raises(PancakesError, match="the fleet garage exists already, in"):
         run("init", "garage", "--no-password")
     assert (key_store.fleets() / "garage" / "authority.key").read_bytes() == key
 
 
-def test_fleet_of_several_must_be_named(run: Run):
+def test_one_of_several_fleets_must_be_named(run: Run):
     run("init", "barn", "--no-password", "--me", "alice")
     with pytest.raises(
         PancakesError, match=r"several fleets were founded here: choose one with --fleet \(barn, garage\)"
@@ -56,7 +56,7 @@ def test_fleet_of_several_must_be_named(run: Run):
         run("list", "--fleet", "shed")
 
 
-def test_fleet_enrol_gives_out_a_name_once(run: Run, tmp_path: Path):
+def test_fleet_enrol_refuses_a_used_name(run: Run, tmp_path: Path):
     run("enrol", "r1", "--out", tmp_path / "r1")
     before = (tmp_path / "r1" / KEY).read_bytes()
     with pytest.raises(PancakesError, match="agent/r1 belongs to the fleet garage already"):
@@ -66,7 +66,7 @@ def test_fleet_enrol_gives_out_a_name_once(run: Run, tmp_path: Path):
     assert (tmp_path / "r1" / KEY).read_bytes() == before and not (tmp_path / "other").exists()
 
 
-def test_fleet_join_refuses_a_folder_that_does_not_fit(run: Run, tmp_path: Path):
+def test_fleet_join_refuses_an_unfit_folder(run: Run, tmp_path: Path):
     run("enrol", "r1", "--out", tmp_path / "r1")
     Authority.founded("garage", tmp_path / "elsewhere").enrol_with_key("agent", "r1").write(tmp_path / "theirs")
     shutil.copy(tmp_path / "theirs" / KEY, tmp_path / "r1" / KEY)
@@ -115,7 +115,7 @@ def test_fleet_sign_notices_an_old_copy_of_the_authority(rig: Rig):
 
 
 def state_of(folder: Path) -> dict[str, bytes]:
-    """All files below a folder."""
+    """Return all files below a folder, with their contents."""
     return {str(it.relative_to(folder)): it.read_bytes() for it in folder.rglob("*") if it.is_file()}
 
 

@@ -1,4 +1,4 @@
-"""What becomes of a roster that agents cannot check or keep: `revoke` and `sign` fail, and `doctor` names the agent."""
+"""Rosters that agents cannot check or store: `revoke` and `sign` fail, and `doctor` reports the agent."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ MISSING = "import sys\nsys.modules['cryptography'] = None\n"
 
 
 def without_cryptography(rig: Rig, name: str) -> Running:
-    """Starts an agent on whose machine the extra `keys` is not installed."""
+    """Start an agent on a machine without the extra `keys`."""
     folder = rig.directory / "missing"
     folder.mkdir()
     (folder / "sitecustomize.py").write_text(MISSING)
@@ -36,7 +36,7 @@ def findings(rig: Rig) -> dict[str, tuple[str, str]]:
 
 
 @pytest.mark.parametrize("words", [("revoke", "bob", "laptop stolen", "--force"), ("sign",), ("allow", "b", "command")])
-def test_roster_that_an_agent_cannot_check_fails_and_is_told(rig: Rig, words: tuple[str, ...]):
+def test_unchecked_roster_fails_and_is_reported(rig: Rig, words: tuple[str, ...]):
     rig.keys.authority("test").enrol_with_key("operator", "bob")
     agent = without_cryptography(rig, "a")
     rig.ready("b", agent=f'peers = ["{rig.address(agent)}"]').hear("a (agent, ")
@@ -51,17 +51,17 @@ def test_roster_that_an_agent_cannot_check_fails_and_is_told(rig: Rig, words: tu
     assert "b" not in findings(rig)
 
 
-def test_roster_that_only_the_operator_has_is_told_by_doctor(rig: Rig):
+def test_doctor_reports_a_roster_that_agents_lack(rig: Rig):
     rig.ready("a")
     assert findings(rig) == {}
     authority = rig.keys.authority("test")
     number = authority.sign().number
-    (authority.folder / "me" / ROSTER).unlink()  # so that the terminal has nothing to give
+    (authority.folder / "me" / ROSTER).unlink()  # so that the terminal has no roster to pass on
     level, text = findings(rig)["a"]
     assert level == "warning" and f"the roster {number}" in text
 
 
-def test_revoke_that_no_agent_hears_fails(rig: Rig):
+def test_revoke_without_agents_fails(rig: Rig):
     rig.keys.authority("test").enrol_with_key("operator", "bob")
     done = rig.pancakes("fleet", "revoke", "bob", "laptop stolen", "--force")
     assert done.returncode == 1 and "no agent has the roster" in done.stderr
@@ -72,7 +72,7 @@ def test_revoke_that_no_agent_hears_fails(rig: Rig):
 
 
 def full_disk(folder: Path) -> bool:
-    """Puts a folder onto a disk without room."""
+    """Move a folder to a full disk; return whether that was possible."""
     files = {path.name: path.read_bytes() for path in folder.iterdir()}
     if subprocess.run(["mount", "-t", "tmpfs", "-o", "size=20k,mode=700", "tmpfs", str(folder)]).returncode:
         return False
@@ -84,7 +84,7 @@ def full_disk(folder: Path) -> bool:
     return True
 
 
-def test_roster_that_cannot_be_kept_is_obeyed_and_told(rig: Rig):
+def test_unstored_roster_is_applied_and_reported(rig: Rig):
     rig.keys.authority("test").enrol_with_key("operator", "bob")
     folder = rig.keys.of_agent("test", "a")
     if not full_disk(folder):

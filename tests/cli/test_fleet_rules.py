@@ -1,4 +1,4 @@
-"""Rules of a fleet at agents that run: what an observer is refused, how that is granted, and what is said of it."""
+"""Rules of a fleet on running agents: what an observer may not do, how to grant it, and the messages."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ LAMP = '[device.motors]\ndriver = "null.motors"\n'
 
 @pytest.fixture
 def observed(rig: Rig):
-    """The address of an agent, and what runs a command as the observer bob, on a machine of his own."""
+    """Yield the address of an agent, and a function that runs a command as the observer bob on his own machine."""
     agent = rig.ready("a", LAMP)
     bob = rig.directory / "bob"
     rig.keys.authority("test").enrol_with_key("observer", "bob").write(bob / "pancakes" / "fleets" / "test" / "me")
@@ -32,7 +32,7 @@ def observed(rig: Rig):
     return rig, agent, as_bob
 
 
-def test_fleet_rules_are_granted_and_taken_away_at_once(observed):
+def test_fleet_rules_take_effect_at_once(observed):
     rig, agent, as_bob = observed
     seen = as_bob("task", "list")
     assert seen.returncode == 0 and "motors" in seen.stdout, seen.stderr
@@ -58,7 +58,7 @@ def test_fleet_rules_are_granted_and_taken_away_at_once(observed):
     assert "it lacks the right 'change'" in as_bob("task", "start", "a/motors").stderr
 
 
-def test_fleet_rules_that_are_not_sound_are_refused(rig: Rig):
+def test_invalid_fleet_rules_are_refused(rig: Rig):
     authority = rig.keys.authority("test")
     authority.enrol_with_key("observer", "bob")
     rules = authority.folder / "rules.toml"
@@ -76,4 +76,4 @@ def test_fleet_rules_that_are_not_sound_are_refused(rig: Rig):
 
     rules.write_text("[[access.allow]]\nwho = ['bob']\nmay = ['fly']\n")
     refused = rig.pancakes("fleet", "sign", "--fleet", "test")
-    assert refused.returncode == 1 and f"the rules {rules} are not sound" in refused.stderr
+    assert refused.returncode == 1 and f"the rules {rules} are not valid" in refused.stderr

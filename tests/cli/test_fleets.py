@@ -1,4 +1,4 @@
-"""Several fleets on one machine: which of them a command, or a client of one's own, speaks to."""
+"""Several fleets on one machine: which of them a command or a client talks to."""
 
 import socket
 from collections.abc import Iterator
@@ -51,7 +51,7 @@ def rate_hz(rig: Rig, *arguments: str) -> float:
     return found
 
 
-def test_fleet_of_a_name_is_chosen_by_option_or_prefix(shared: tuple[Rig, Running, Running]):
+def test_fleet_is_chosen_by_option_or_prefix(shared: tuple[Rig, Running, Running]):
     rig, _, _ = shared
     assert (rate_hz(rig, "a/load", "--fleet", "north"), rate_hz(rig, "a/load", "--fleet", "south")) == (2.0, 3.0)
     for name in ("north/a/load", "north/a/device/load"):
@@ -62,21 +62,21 @@ def test_fleet_of_a_name_is_chosen_by_option_or_prefix(shared: tuple[Rig, Runnin
     assert {line: it.stderr for line, it in done.items() if it.returncode or "south" in it.stdout} == {}
 
 
-def test_fleet_that_is_wrong_is_a_sentence(shared: tuple[Rig, Running, Running]):
+def test_wrong_fleet_is_an_error(shared: tuple[Rig, Running, Running]):
     rig, _, _ = shared
     done = {line: rig.pancakes(*line.split()) for line in WRONG}
     found = {line: (it.returncode, it.stderr) for line, it in done.items()}
     assert {line: it for line, it in found.items() if it[0] != WRONG[line][0] or WRONG[line][1] not in it[1]} == {}
 
 
-def test_doctor_finds_a_fleet_of_which_no_agent_is_here(shared: tuple[Rig, Running, Running]):
+def test_doctor_reports_a_fleet_without_agents_here(shared: tuple[Rig, Running, Running]):
     rig, _, _ = shared
     result = rig.pancakes("doctor", "--no-machine", "--fleet", "east")
     assert result.returncode == 1 and "has only the fleets north, south)" in result.stdout
 
 
-def test_fleet_changes_reach_only_the_agent_that_is_meant(rig: Rig):
-    """A task of a service goes before a task of a fleet of the same name."""
+def test_changes_reach_only_the_agent_of_the_fleet(rig: Rig):
+    """A service's task takes precedence over a task of a fleet of the same name."""
     agents = rig.ready("a", LOAD, fleet="device"), rig.ready("device", LOAD, fleet="a")
     assert rate_hz(rig, "a/device/load") == 2.0
     assert rig.pancakes("task", "rate", "a/device/load", "7").returncode == 0
@@ -100,9 +100,7 @@ def test_fleet_of_an_agent_at_an_address_must_be_named(rig: Rig, network: str, t
     assert result.returncode == 3 and text in result.stderr
 
 
-def test_client_takes_an_address_as_a_person_writes_it(
-    shared: tuple[Rig, Running, Running], monkeypatch: pytest.MonkeyPatch
-):
+def test_client_accepts_short_addresses(shared: tuple[Rig, Running, Running], monkeypatch: pytest.MonkeyPatch):
     rig, _, south = shared
     monkeypatch.setenv("PANCAKES_RUNTIME_DIR", str(rig.runtime))
     place = f"127.0.0.1:{rig.port(south)}"
@@ -116,7 +114,7 @@ def test_client_takes_an_address_as_a_person_writes_it(
         client.survey()
 
 
-def test_client_refuses_what_is_no_address():
+def test_client_refuses_malformed_addresses():
     for at, text in {
         "nonsense": "'tcp://nonsense' has no port",
         "127.0.0.1:0": "'127.0.0.1:0' has the port 0, at which no agent can be reached",
@@ -126,8 +124,8 @@ def test_client_refuses_what_is_no_address():
             Client([at])
 
 
-def test_peers_of_a_fleet_can_be_one_list_for_all(rig: Rig):
-    """An agent does not take its own address in it for a peer."""
+def test_all_agents_can_share_one_list_of_peers(rig: Rig):
+    """An agent skips its own address in the list."""
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
     peers = f'peers = ["tcp://127.0.0.1:{port}", "tcp://localhost:{port}"]'

@@ -1,4 +1,4 @@
-"""What Foxglove's own libraries read of a recording, and of a fleet that runs (`pancakes view --foxglove`)."""
+"""Foxglove's own libraries read a recording and a running fleet (`pancakes view --foxglove`)."""
 
 import fcntl
 import json
@@ -46,7 +46,7 @@ VIEWED = {
 
 @pytest.fixture(scope="module")
 def reader(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Returns the program that reads with Foxglove's libraries, which it installs once for all workers."""
+    """Return a program that reads with Foxglove's libraries; they are installed once for all workers."""
     if shutil.which("npm") is None:
         pytest.skip("Foxglove's libraries are for Node.js, and there is no npm here")
     place = tmp_path_factory.getbasetemp().parent / "foxglove-reader"
@@ -63,7 +63,7 @@ def reader(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def read(reader: Path, *arguments: str) -> dict[str, dict[str, Any]]:
-    """Returns what was read, by topic."""
+    """Return the messages that were read, by topic."""
     command = ["node", str(reader), *arguments]
     done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S)
     assert done.returncode == 0, done.stderr
@@ -79,7 +79,7 @@ def check(found: dict[str, dict[str, Any]]) -> None:
     assert found["/a/system/ir"]["last"]["body"]["ranges_m"] == [0.2, 0.1, 0.3]
 
 
-def test_foxglove_reads_a_recording_and_a_fleet_that_runs(rig: Rig, reader: Path):
+def test_foxglove_reads_a_recording_and_a_live_fleet(rig: Rig, reader: Path):
     rig.install("ring", "[pancakes.tasks]\nring.Ring = plugin_ring:Ring\n", SOURCE)
     rig.ready("a", DEVICES)
     began = rig.pancakes("record", "start")
@@ -99,8 +99,8 @@ def test_foxglove_reads_a_recording_and_a_fleet_that_runs(rig: Rig, reader: Path
     assert code == 0
 
 
-def test_foxglove_is_refused_a_port_that_is_taken(rig: Rig):
-    """And if its library is missing, nothing is served."""
+def test_foxglove_refuses_a_used_port(rig: Rig):
+    """It also refuses to serve if its library is missing."""
     rig.ready("a")
     first = rig.run("-u", "-m", "pancakes.tools.cli.main", "view", "--foxglove", "--format", "json", whole=True)
     first.hear("]")

@@ -1,4 +1,4 @@
-"""What `pancakes doctor` says of guarded tasks."""
+"""The findings of `pancakes doctor` about guarded tasks."""
 
 from pancakes.tools.cli.verbs.agent_checks import check_guards
 from pancakes.tools.cli.verbs.checks import Facts
@@ -20,33 +20,33 @@ def found(*rows):
     ]
 
 
-def test_guard_check_is_content_with_a_task_that_would_outlive_its_agent():
+def test_guard_check_accepts_a_fully_guarded_task():
     assert found(owns(), guards("b"), guards("c")) == []
 
 
-def test_guard_check_knows_a_former_owner():
+def test_guard_check_ignores_a_former_owner():
     before = {**owns(epoch="9@a"), "permit_s": 0.0, "lease": False}
     assert found(before, guards("b", epoch="10@b", lease=False)) != []
     assert found(before, {**owns("b", epoch="10@b"), "guardians": ["a", "b"], "guard": 2}) == []
 
 
-def test_guard_check_names_a_guardian_that_does_not_answer():
+def test_guard_check_reports_a_silent_guardian():
     ((level, about, text, _),) = found(owns(), guards("b"))
     assert (level, about) == ("warning", "a/Scan") and text.endswith("does not answer: c")
 
 
-def test_guard_check_names_a_task_with_too_few_guardians():
+def test_guard_check_reports_too_few_guardians():
     ((level, _, text, advice),) = found({**owns(), "guardians": ["a"]})
     assert level == "warning" and "has 1 of the 3 guardians that it needs" in text and "such as a witness" in advice
 
 
-def test_guard_check_names_a_task_without_a_permit():
+def test_guard_check_reports_a_missing_permit():
     ((level, _, text, _),) = found({**owns(), "permit_s": 0.0}, guards("b"))
     assert level == "error" and "is paused" in text
     assert found({**owns(wanted=False), "permit_s": 0.0}, guards("b"), guards("c")) == []
 
 
-def test_guard_check_names_a_task_whose_owner_is_silent():
+def test_guard_check_reports_a_silent_owner():
     ((level, about, text, advice),) = found(guards("b", lease=False), guards("c", lease=False))
     assert (level, about) == ("error", "a/Scan") and "its owner a is silent" in text
     assert "pancakes task take b/Scan" in advice
@@ -54,21 +54,21 @@ def test_guard_check_names_a_task_whose_owner_is_silent():
     assert found(guards("b"), guards("c", lease=False)) == []
 
 
-def test_guard_check_says_what_is_waited_for():
-    """Two backups were restored one after the other: each guardian waits for a whole lease since its start."""
+def test_guard_check_reports_leases_that_must_end():
+    """After two backups were restored one after the other, each guardian waits a whole lease from its start."""
     waits = {"silent_s": 20.0, "lease_left_s": 10.0}
     ((level, about, text, _),) = found(guards("b", **waits), guards("c", lease=False, lease_left_s=None))
     assert (level, about) == ("warning", "a/Scan") and text.endswith("the lease of a ends: b (10 s)")
     assert found(guards("b", **waits), guards("c")) == [], "its owner has renewed the other one"
 
 
-def test_guard_check_names_hardware_without_a_dead_man_switch():
+def test_guard_check_reports_a_missing_dead_man_switch():
     ((level, about, text, advice),) = found(owns(no_dead_man=["lamp", "motors"]), guards("b"), guards("c"))
     assert (level, about) == ("warning", "a/Scan") and text.startswith("commands lamp, motors, whose hardware has no")
     assert "docs/writing-a-driver.md" in advice
 
 
-def test_guard_check_names_a_clock_that_was_set_forward():
+def test_guard_check_reports_a_clock_set_forward():
     ((level, _, text, advice),) = found(owns(clock_steps=1), guards("b"), guards("c"))
     assert level == "warning" and text == "was paused once because the time of day of a was set forward"
     assert advice == "make sure that its clock is set before the agent starts"

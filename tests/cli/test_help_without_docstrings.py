@@ -1,4 +1,4 @@
-"""Help, and what schemas say of keys, are the same if Python was told to throw docstrings away."""
+"""Help and schemas are the same if Python removes docstrings (`-OO`)."""
 
 import os
 import subprocess

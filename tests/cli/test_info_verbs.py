@@ -1,4 +1,4 @@
-"""`pancakes agent info`, `task list|info` and `service list|info`: all that agents say of themselves."""
+"""`pancakes agent info`, `task list|info` and `service list|info`: the descriptions of agents."""
 
 from collections.abc import Iterator
 from contextlib import closing
@@ -59,7 +59,7 @@ restart = { policy = "no" }
 
 @pytest.fixture(scope="module")
 def shared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Rig, Running, Running]]:
-    """Two agents that are connected, and that no test changes."""
+    """Two connected agents that no test changes."""
     with closing(Rig(tmp_path_factory.mktemp("shared"))) as rig:
         rig.install("steer", ENTRY_POINTS, SOURCE)
         first = rig.ready("a", CONFIG)
@@ -69,13 +69,13 @@ def shared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Rig, Runn
 
 
 def said(rig: Rig, *arguments: str) -> list[str]:
-    """Runs a command that prints a table and succeeds; returns its lines, with one space between words."""
+    """Run a command that must succeed and prints a table; return its lines, with one space between words."""
     result = rig.pancakes(*arguments)
     assert (result.returncode, result.stderr) == (0, "")
     return [" ".join(line.split()) for line in result.stdout.splitlines()]
 
 
-def test_agent_info_tells_all_of_an_agent(shared: tuple[Rig, Running, Running]):
+def test_agent_info_shows_all_of_an_agent(shared: tuple[Rig, Running, Running]):
     rig, agent, other = shared
     (found,) = rig.listed("agent", "info", "a", "--at", rig.address(other))
     assert (found["agent"], found["role"], found["fleet"]) == ("a", "agent", "test")
@@ -102,7 +102,7 @@ def test_agent_info_tells_all_of_an_agent(shared: tuple[Rig, Running, Running]):
     assert "alice." not in "".join(lines), "the command does not show its own link"
 
 
-def test_agent_log_does_not_tell_of_commands_that_only_look(shared: tuple[Rig, Running, Running]):
+def test_agent_log_omits_read_only_commands(shared: tuple[Rig, Running, Running]):
     rig, agent, _ = shared
     for _ in range(3):
         assert rig.listed("agent", "list")
@@ -111,7 +111,7 @@ def test_agent_log_does_not_tell_of_commands_that_only_look(shared: tuple[Rig, R
     assert [text for text in agent.said if "alice." in text] == [line]
 
 
-def test_task_list_shows_what_is_asked_for(shared: tuple[Rig, Running, Running]):
+def test_task_list_filters(shared: tuple[Rig, Running, Running]):
     rig, _, _ = shared
 
     def names(*options: str) -> list[str]:
@@ -125,7 +125,7 @@ def test_task_list_shows_what_is_asked_for(shared: tuple[Rig, Running, Running])
     assert row["reason"].startswith("RuntimeError: no wheels at plugin_steer.py:")
 
 
-def test_task_info_tells_all_of_a_task(shared: tuple[Rig, Running, Running]):
+def test_task_info_shows_all_of_a_task(shared: tuple[Rig, Running, Running]):
     rig, _, _ = shared
     (found,) = rig.listed("task", "info", "a/Steer")
     assert (found["agent"], found["service"], found["task"]) == ("a", "client", "Steer")
@@ -150,7 +150,7 @@ def test_task_info_tells_all_of_a_task(shared: tuple[Rig, Running, Running]):
     assert (found["service"], found["type"], found["rate_hz"]) == ("device", "null.pose", 5.0), "a device is a task"
 
 
-def test_service_list_and_info_tell_all_of_services(shared: tuple[Rig, Running, Running]):
+def test_service_list_and_info_show_all_of_services(shared: tuple[Rig, Running, Running]):
     rig, agent, _ = shared
     rows = rig.listed("service", "list", "a")
     assert [row["service"] for row in rows] == ["log", "device", "network", "client"]
@@ -169,7 +169,7 @@ def test_service_list_and_info_tell_all_of_services(shared: tuple[Rig, Running, 
     assert {"type ClientService", "Steer steer.Steer running 20"} <= set(lines)
 
 
-def test_info_of_what_is_not_there_is_refused(shared: tuple[Rig, Running, Running]):
+def test_info_of_missing_things_is_refused(shared: tuple[Rig, Running, Running]):
     rig, _, _ = shared
     expected = {
         ("task", "info", "a/Stear"): (1, "a has no task 'Stear', did you mean 'Steer'?\n"),
@@ -183,7 +183,7 @@ def test_info_of_what_is_not_there_is_refused(shared: tuple[Rig, Running, Runnin
     assert {result.stdout for result in done.values()} == {""}
 
 
-def test_states_to_ask_for_are_those_that_there_are():
+def test_state_options_are_complete():
     words = set(WORDS.values())
     assert set(task_verbs.STATES) == words
     assert set(service_verbs.STATES) == words - {"stuck"}

@@ -1,4 +1,4 @@
-"""An agent's process sets its Python interpreter up for many threads; a program that uses Pancakes is left alone."""
+"""An agent's process tunes its Python interpreter for many threads; other programs that use Pancakes do not."""
 
 import subprocess
 import sys
@@ -13,7 +13,7 @@ def said(code):
     return done.stdout.split()
 
 
-def test_interpreter_of_an_agent_is_prepared_for_many_threads():
+def test_agent_interpreter_is_tuned_for_threads():
     usual = said("pass")
     prepared = said("from pancakes.tools.cli import agent_process; agent_process.tune_interpreter()")
     assert float(prepared[0]) < float(usual[0]) / 5
@@ -27,7 +27,7 @@ def test_interpreter_of_an_agent_is_prepared_for_many_threads():
     assert said(imported) == usual, "who only imports pancakes keeps what Python has"
 
 
-def test_interpreter_of_an_agent_freezes_what_it_imported(rig: Rig):
+def test_agent_interpreter_freezes_imports(rig: Rig):
     rig.install(
         "looking",
         "[pancakes.tasks]\ntest.Look = plugin_looking:Look\n",

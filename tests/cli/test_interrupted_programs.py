@@ -52,14 +52,14 @@ def interrupted_after(rig: Rig, imports: int, program: str, *arguments: str) -> 
         process.stderr.close()
 
 
-def test_command_interrupted_at_its_start_ends_by_the_signal_silently(rig: Rig):
+def test_command_interrupted_at_start_ends_silently(rig: Rig):
     for imports in (0, 1, 40, 120, 250):
         code, said = interrupted_after(rig, imports, PANCAKES, "plugin", "list")
         assert said == []
         assert code == BY_SIGNAL or (code == 0 and imports > 100), "it has imported fewer"
 
 
-def test_demo_interrupted_at_its_start_ends_silently(rig: Rig):
+def test_demo_interrupted_at_start_ends_silently(rig: Rig):
     mission = ("demo", "encirclement", "--virtual", "--headless", "--duration", "5", "--out", "out")
     configs = Path(__file__).parents[2] / "configs" / "encirclement"
     for imports in (40, 200, 400):
@@ -68,7 +68,7 @@ def test_demo_interrupted_at_its_start_ends_silently(rig: Rig):
         assert code in (BY_SIGNAL, INTERRUPTED), imports
 
 
-def test_agent_interrupted_at_its_start_ends_silently(rig: Rig):
+def test_agent_interrupted_at_start_ends_silently(rig: Rig):
     config = str(rig.config("a"))
     for imports in (0, 40, 120):
         code, said = interrupted_after(rig, imports, AGENT, "--config", config)
@@ -76,7 +76,7 @@ def test_agent_interrupted_at_its_start_ends_silently(rig: Rig):
         assert code in (BY_SIGNAL, 0), "or it listens to signals already, and ends in good order"
 
 
-def test_launch_interrupted_at_its_start_ends_quietly(rig: Rig):
+def test_launch_interrupted_at_start_ends_quietly(rig: Rig):
     config = str(rig.config("a"))
     for imports in (0, 100, 200):
         code, said = interrupted_after(rig, imports, PANCAKES, "launch", config)
@@ -84,8 +84,8 @@ def test_launch_interrupted_at_its_start_ends_quietly(rig: Rig):
         assert code in (BY_SIGNAL, 0), imports
 
 
-def test_interrupt_is_changed_only_by_the_programs_themselves():
-    """And one that a shell has had ignored, as with `&`, stays so."""
+def test_only_programs_change_the_interrupt_handler():
+    """A SIGINT that a shell ignores, as with `&`, stays ignored."""
     ignored = f"import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)\nimport {ENTRY}\n"
     ignored += "signal.raise_signal(signal.SIGINT)\nprint('goes on')"
     usual = "import signal, pancakes.tools.cli.main, pancakes.tools.cli.agent_command, pancakes.testing\n"
@@ -190,7 +190,7 @@ class Slow:
         ("all", "drawing", 1),
     ],
 )
-def test_demo_that_is_interrupted_ends_with_130(rig: Rig, name: str, moment: str, times: int):
+def test_interrupted_demo_exits_with_130(rig: Rig, name: str, moment: str, times: int):
     with Slow(rig, name) as demo:
         demo.wait_for(moment, times)
         demo.interrupt()
@@ -200,7 +200,7 @@ def test_demo_that_is_interrupted_ends_with_130(rig: Rig, name: str, moment: str
 
 
 @pytest.mark.parametrize("moment", ["verdict: PASS", "ending"])
-def test_demo_that_is_interrupted_after_its_verdict_does_not_end_with_0(rig: Rig, moment: str):
+def test_demo_interrupted_after_its_verdict_fails(rig: Rig, moment: str):
     with Slow(rig, "one") as demo:
         demo.wait_for("verdict: PASS")
         if moment == "ending":
@@ -210,7 +210,7 @@ def test_demo_that_is_interrupted_after_its_verdict_does_not_end_with_0(rig: Rig
     assert not any("Traceback" in line for line in demo.said)
 
 
-def test_demo_that_is_interrupted_twice_ends_at_once(rig: Rig):
+def test_demo_interrupted_twice_ends_at_once(rig: Rig):
     with Slow(rig, "one") as demo:
         demo.wait_for("drawing")
         demo.interrupt()
@@ -218,7 +218,7 @@ def test_demo_that_is_interrupted_twice_ends_at_once(rig: Rig):
         assert demo.process.wait(PATIENCE_S) == INTERRUPTED
 
 
-def test_demo_that_is_left_alone_ends_with_its_verdict(rig: Rig):
+def test_uninterrupted_demo_ends_with_its_verdict(rig: Rig):
     with Slow(rig, "all") as demo:
         assert demo.ended() == 0
     assert "verdict: PASS" in demo.said

@@ -1,4 +1,4 @@
-"""Signals that end a command: none is lost, and none holds the command up."""
+"""Signals that end a command: none is lost, and none blocks the command."""
 
 import subprocess
 import sys
@@ -11,7 +11,7 @@ from pancakes.tools.cli.streaming import event_at
 
 
 def outcomes(*sources: str) -> list[int]:
-    """Runs programs at the same time; returns their exit codes."""
+    """Run programs at the same time; return their exit codes."""
     running = [subprocess.Popen([sys.executable, "-c", HEAD + source]) for source in sources]
     try:
         return [it.wait(PATIENCE_S) for it in running]
@@ -62,9 +62,9 @@ sys.exit(7 if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN else 1)
 """
 
 
-def test_interrupt_is_heard_whenever_it_comes():
+def test_interrupt_is_never_lost():
     assert outcomes(IN_THE_MIDDLE_OF_THE_WAIT, THAT_DOES_NOT_WAKE_THE_MAIN_THREAD) == [7, 7]
 
 
-def test_second_interrupt_ends_the_process_only_if_wanted():
+def test_second_interrupt_ends_the_process_if_configured():
     assert outcomes(A_SECOND_ONE_THAT_ENDS, A_SECOND_ONE, ONE_THAT_IS_IGNORED) == [9, 7, 7]

@@ -1,4 +1,4 @@
-"""An agent starts with keys that are its own and that it alone can read, or says why it does not."""
+"""An agent starts only with its own keys, which only it can read; otherwise it reports why."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ import shutil
 from cli.processes import READY, Rig
 
 
-def test_keys_of_no_use_are_a_fault_of_the_configuration(rig: Rig):
+def test_unusable_keys_are_a_configuration_fault(rig: Rig):
     config = rig.config("a")
     keys = rig.keys.of_agent("test", "a")
     key, sound = keys / "key.pem", (keys / "key.pem").read_bytes()
     harms = {
         "can be read by others (mode 644): chmod 600 it": lambda: key.chmod(0o644),
         "cannot be used: ": lambda: key.write_text("no key"),
-        "others can put other files into the folder with keys": lambda: keys.chmod(0o777),
+        "others can put files into the key folder": lambda: keys.chmod(0o777),
     }
     if os.geteuid() == 0:  # only root can give a file to another user
         harms["belongs to another user (uid 65534)"] = lambda: os.chown(key, 65534, -1)
@@ -36,7 +36,7 @@ def test_keys_of_no_use_are_a_fault_of_the_configuration(rig: Rig):
     assert said.count("can be read by others (mode 644): chmod 600 it") == 1 and "given up" in said
 
 
-def test_keys_of_another_agent_or_none_are_not_taken(rig: Rig):
+def test_foreign_or_missing_keys_are_refused(rig: Rig):
     other = rig.keys.of_agent("test", "b")
     config = rig.config("a", f'[service.network]\nsettings = {{ keys = "{other}" }}\n')
     agent = rig.agent(config)
@@ -61,7 +61,7 @@ def test_keys_of_another_agent_or_none_are_not_taken(rig: Rig):
     assert row["faults"] == [] and row["warnings"][0]["problem"].startswith("it would not start on this machine")
 
 
-def test_keys_that_were_revoked_let_an_agent_run_and_warn(rig: Rig):
+def test_agent_with_revoked_keys_runs_and_warns(rig: Rig):
     config = rig.config("a")
     authority = rig.keys.authority("test")
     authority.revoke("a", "lost")

@@ -1,4 +1,4 @@
-"""`pancakes launch`: a fleet as a person starts it, real processes and all; none is ever left behind."""
+"""`pancakes launch`: fleets of real processes, none of which is ever left behind."""
 
 import json
 import signal
@@ -26,7 +26,7 @@ after = ["gate"]
 
 @pytest.fixture
 def field(rig: Rig) -> Path:
-    """A fleet of two agents, of which one comes after the other."""
+    """A fleet of two agents, one of which starts after the other."""
     rig.config("gate")
     rig.config("node")
     path = rig.directory / "field.toml"
@@ -35,7 +35,7 @@ def field(rig: Rig) -> Path:
 
 
 def pid_of(line: str) -> int:
-    """The process in a line such as `gate runs as process 12`."""
+    """Return the process in a line such as `gate runs as process 12`."""
     return int(line.rpartition(" ")[2])
 
 
@@ -53,7 +53,7 @@ def wait_until_gone(*pids: int) -> None:
 
 
 def up(rig: Rig, *arguments: str | Path) -> tuple[Running, int, int]:
-    """Launches a fleet of gate and node, and waits until both are ready."""
+    """Launch a fleet of gate and node, and wait until both are ready."""
     fleet = rig.launch(*arguments)
     gate = pid_of(fleet.hear("gate runs as process"))
     node = pid_of(fleet.hear("node runs as process"))
@@ -85,7 +85,7 @@ def test_launch_starts_in_order_and_stops_in_reverse(rig: Rig, field: Path):
     assert any(line.startswith("node | ") and "node/kernel: ready" in line for line in fleet.said)
 
 
-def test_launch_of_a_folder_prints_objects_for_programs(rig: Rig):
+def test_launch_of_a_folder_prints_json(rig: Rig):
     for name in ("a", "b"):
         rig.config(name)
     fleet = rig.launch(rig.directory, "--format", "json")
@@ -99,7 +99,7 @@ def test_launch_of_a_folder_prints_objects_for_programs(rig: Rig):
         assert any(f"{name}/kernel: ready" in it["line"] for it in objects if "line" in it)
 
 
-def test_launch_begins_missions_together_and_starts_again_what_dies(rig: Rig, field: Path):
+def test_launch_begins_missions_together_and_restarts_agents(rig: Rig, field: Path):
     field.write_text(FLEET.replace("[agent.gate]", "set = { clock.hold = true }\n[agent.gate]"))
     fleet, gate, node = up(rig, field)
     fleet.hear("the mission of gate, node begins")
@@ -116,7 +116,7 @@ def test_launch_begins_missions_together_and_starts_again_what_dies(rig: Rig, fi
     assert is_gone(gate) and is_gone(again)
 
 
-def test_launch_gives_up_what_fails_each_time(rig: Rig, field: Path):
+def test_launch_gives_up_an_agent_that_always_fails(rig: Rig, field: Path):
     (rig.directory / "blocked").write_text("a file where a directory should be")
     field.write_text(FLEET + 'set = { agent.state_dir = "blocked" }\nrestart = { at_most = 1 }\n')
     fleet = rig.launch(field)
@@ -127,7 +127,7 @@ def test_launch_gives_up_what_fails_each_time(rig: Rig, field: Path):
     assert fleet.signalled(signal.SIGTERM)[0] == 1
 
 
-def test_launch_can_leave_missions_at_0_and_ends_with_its_agents(rig: Rig, field: Path):
+def test_launch_can_hold_missions_and_ends_with_its_agents(rig: Rig, field: Path):
     fleet, gate, node = up(rig, field, "--set", "clock.hold=true", "--hold")
     assert mission_s(rig, "gate") == 0.0
     assert rig.pancakes("down").returncode == 0
@@ -135,7 +135,7 @@ def test_launch_can_leave_missions_at_0_and_ends_with_its_agents(rig: Rig, field
     assert is_gone(gate) and is_gone(node)
 
 
-def test_launch_that_is_killed_leaves_no_agent(rig: Rig, field: Path):
+def test_killed_launch_leaves_no_agent(rig: Rig, field: Path):
     fleet, gate, node = up(rig, field)
 
     fleet.process.kill()
@@ -155,7 +155,7 @@ def test_launch_kills_an_agent_that_hangs(rig: Rig, field: Path, suspended: Call
     assert is_gone(gate) and is_gone(node)
 
 
-def test_launch_ends_at_once_on_the_same_signal_again(rig: Rig, field: Path, suspended: Callable[[int], None]):
+def test_launch_ends_at_once_on_a_second_signal(rig: Rig, field: Path, suspended: Callable[[int], None]):
     fleet, gate, node = up(rig, field)
     suspended(gate)
     fleet.process.send_signal(signal.SIGINT)
@@ -169,7 +169,7 @@ def test_launch_ends_at_once_on_the_same_signal_again(rig: Rig, field: Path, sus
 
 @pytest.fixture
 def suspended() -> Any:
-    """Suspends a process that is not our child, and returns once it is."""
+    """Suspend a process that is not our child, and return when it is suspended."""
     pids = []
 
     def suspend(pid: int) -> None:
@@ -197,7 +197,7 @@ def test_launch_can_be_stopped_while_agents_start(rig: Rig, field: Path):
     assert is_gone(gate)
 
 
-def test_launch_ends_if_nobody_reads_its_output(rig: Rig, field: Path):
+def test_launch_ends_without_a_reader(rig: Rig, field: Path):
     process = Program(
         pancakes("launch", str(field)),
         stdin=subprocess.DEVNULL,
@@ -221,11 +221,11 @@ def mission_s(rig: Rig, agent: str) -> float:
 
 
 def begun(rig: Rig, agent: str) -> bool:
-    """Whether an agent's mission begins; that it will is said a moment before."""
+    """Return whether an agent's mission begins; the launcher announces it a moment before."""
     return any(mission_s(rig, agent) > 0.0 for _ in range(20))
 
 
-def test_launch_that_is_refused_starts_nothing(rig: Rig):
+def test_refused_launch_starts_nothing(rig: Rig):
     bad = rig.pancakes("launch", str(rig.config("a")), str(rig.config("b", "[clock]\nsped = 1\n")))
     assert (bad.returncode, bad.stdout) == (4, "") and "b.toml:9: [clock] sped" in bad.stderr
     with socket.create_server(("127.0.0.1", 0)) as taken:
@@ -237,7 +237,7 @@ def test_launch_that_is_refused_starts_nothing(rig: Rig):
     assert not any(rig.runtime.glob("*.json"))
 
 
-def test_launch_within_its_machine_takes_no_port(rig: Rig):
+def test_local_launch_uses_no_port(rig: Rig):
     with socket.create_server(("127.0.0.1", 0)) as taken:
         listen = f"tcp://127.0.0.1:{taken.getsockname()[1]}"
         files = [rig.config("a"), rig.config("b", agent=f'peers = ["{listen}"]')]

@@ -1,4 +1,4 @@
-"""A fleet that is launched again: its tasks rest where they rested, which is told, or all begins from empty state."""
+"""A fleet that is launched again: stopped tasks stay stopped, which is reported, unless `--fresh` clears the state."""
 
 import json
 import signal
@@ -48,12 +48,12 @@ def tasks(rig: Rig, agent: str) -> dict[str, tuple[str, str]]:
 
 
 def records(rig: Rig) -> list[Path]:
-    """What the fleet remembers."""
+    """Return the records of the fleet."""
     return [path for name in ("gate", "node") for path in (rig.directory / "state/pancakes/field" / name).glob("*.rec")]
 
 
 def acquaint(rig: Rig) -> None:
-    """Gives the agents addresses of their own, and each other as peers."""
+    """Give the agents their own addresses, and each other as peers."""
     with socket.socket() as one, socket.socket() as two:
         places = {}
         for name, it in (("gate", one), ("node", two)):
@@ -66,12 +66,12 @@ def acquaint(rig: Rig) -> None:
 
 
 def heard(fleet: Running, text: str) -> None:
-    """Waits for a line that contains a text, where none has been said yet."""
+    """Wait for a line that contains a text, unless one was printed already."""
     if not any(text in line for line in fleet.said):
         fleet.hear(text)
 
 
-def test_launch_tells_where_a_task_has_gone_until_fresh(rig: Rig, field: Path):
+def test_launch_reports_migrated_tasks_unless_fresh(rig: Rig, field: Path):
     acquaint(rig)
     fleet = rig.launch(field)
     heard(fleet, "task_started task=Walk")
@@ -99,7 +99,7 @@ def test_launch_tells_where_a_task_has_gone_until_fresh(rig: Rig, field: Path):
     assert not [line for line in down(fleet) if "does not start" in line]
 
 
-def test_launch_fresh_is_refused_beside_an_agent_that_knows_the_fleet(rig: Rig, field: Path):
+def test_launch_fresh_is_refused_beside_an_agent_of_the_fleet(rig: Rig, field: Path):
     fleet = rig.launch(field)
     fleet.hear("node is ready")
     assert rig.pancakes("task", "stop", "gate/Walk").returncode == 0
@@ -123,8 +123,8 @@ def test_launch_fresh_is_refused_beside_an_agent_that_knows_the_fleet(rig: Rig, 
     assert rig.pancakes("launch", str(field), "--fresh", "--dry-run").returncode == 0
 
 
-def test_launch_fresh_sees_an_agent_at_the_address_of_a_peer(rig: Rig, field: Path):
-    """As one on another computer is."""
+def test_launch_fresh_detects_an_agent_at_a_peer_address(rig: Rig, field: Path):
+    """This is how it detects an agent on another computer."""
     elsewhere = rig.directory / "elsewhere"
     rig.environment["PANCAKES_RUNTIME_DIR"] = str(elsewhere)
     rig.runtime, here = elsewhere, rig.runtime

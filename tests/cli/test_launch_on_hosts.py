@@ -33,7 +33,7 @@ def robots(hosts: SshHosts) -> SshHosts:
 
 
 def fleet(rig: Rig, hosts: dict[str, str], *, rest: str = "", keys: bool = False) -> Path:
-    """Writes a fleet file of agents, each with its host (empty: none), that all dial the first."""
+    """Write a fleet file of agents, each with its host (empty: none), that all dial the first one."""
     port = free_port()
     own = "" if keys else INSECURE
     text = 'schema = 1\n[fleet]\nname = "yard"\n'
@@ -51,13 +51,13 @@ def fleet(rig: Rig, hosts: dict[str, str], *, rest: str = "", keys: bool = False
 
 
 def pid_of(line: str) -> int:
-    """The process in a line such as `a runs as process 12 on robot1`."""
+    """Return the process in a line such as `a runs as process 12 on robot1`."""
     words = line.split()
     return int(words[words.index("process") + 1])
 
 
 def ready(running: Running, *names: str) -> dict[str, int]:
-    """Waits until agents are ready; returns their processes."""
+    """Wait until agents are ready; return their processes."""
     pids: dict[str, int] = {}
     left = set(names)
     while left or len(pids) < len(names):
@@ -99,7 +99,7 @@ def test_launch_runs_a_fleet_on_three_hosts_and_here(rig: Rig, robots: SshHosts)
 
 
 @pytest.mark.parametrize("victim", ["launcher", "connection"])
-def test_launch_that_ends_takes_its_agents_on_hosts_along(rig: Rig, robots: SshHosts, victim: str):
+def test_launch_ends_with_its_agents_on_hosts(rig: Rig, robots: SshHosts, victim: str):
     running = rig.launch(fleet(rig, {"a": "robot1", "b": "robot2"}), "--restart", "no")
     pids = list(ready(running, "a", "b").values())
     if victim == "launcher":
@@ -114,7 +114,7 @@ def test_launch_that_ends_takes_its_agents_on_hosts_along(rig: Rig, robots: SshH
     assert psutil.pid_exists(pids[0])
 
 
-def test_launch_starts_agents_on_hosts_again(rig: Rig, robots: SshHosts):
+def test_launch_restarts_agents_on_hosts(rig: Rig, robots: SshHosts):
     running = rig.launch(fleet(rig, {"a": "robot1", "b": "robot2"}))
     running.hear("b is ready")
     (ssh,) = [it for it in psutil.Process(running.pid).children() if "robot2" in it.cmdline()]
@@ -128,7 +128,7 @@ def test_launch_starts_agents_on_hosts_again(rig: Rig, robots: SshHosts):
     assert running.signalled(signal.SIGTERM)[0] == 0
 
 
-def test_launch_fresh_forgets_what_agents_on_hosts_remember(rig: Rig, robots: SshHosts):
+def test_launch_fresh_clears_agents_on_hosts(rig: Rig, robots: SshHosts):
     path = fleet(rig, {"a": "robot1"})
     first = rig.launch(path)
     ready(first, "a")
@@ -148,7 +148,7 @@ def test_launch_begins_missions_on_all_hosts_at_once(rig: Rig, robots: SshHosts)
     assert running.signalled(signal.SIGTERM)[0] == 0
 
 
-def test_launch_kills_an_agent_on_a_host_that_hangs(rig: Rig, robots: SshHosts):
+def test_launch_kills_a_hanging_agent_on_a_host(rig: Rig, robots: SshHosts):
     running = rig.launch(fleet(rig, {"a": "robot1"}))
     pid = pid_of(running.hear("a runs as process"))
     running.hear("a is ready")
@@ -198,7 +198,7 @@ with open_hosts(make_fleet([Path(sys.argv[1])], (), None, None)) as hosts, tunne
 
 
 @pytest.mark.parametrize("trouble", ["away", "key", "host key", "python", "pancakes", "running"])
-def test_launch_names_a_host_that_cannot_take_part(rig: Rig, hosts: SshHosts, trouble: str):
+def test_launch_reports_an_unusable_host(rig: Rig, hosts: SshHosts, trouble: str):
     hosts.add("robot1", f"{INSTALLED}:{BARE}")
     path = f"{INSTALLED}:{BARE}"
     if trouble == "python":

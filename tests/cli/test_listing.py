@@ -1,4 +1,4 @@
-"""`pancakes agent list` and `pancakes task list`: the agents' own answers, and who gave none."""
+"""`pancakes agent list` and `pancakes task list`: the answers of agents, and the agents that do not answer."""
 
 import json
 import signal
@@ -15,7 +15,7 @@ QUICK = ("--timeout", "1")
 
 @pytest.fixture(scope="module")
 def shared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Rig, Running, Running]]:
-    """Two agents that are connected, and that no test changes."""
+    """Two connected agents that no test changes."""
     with closing(Rig(tmp_path_factory.mktemp("shared"))) as rig:
         first = rig.ready("gate", LOAD)
         second = rig.ready("node", agent=f'role = "environment"\npeers = ["{rig.address(first)}"]')
@@ -43,7 +43,7 @@ def test_agent_list_finds_agents_of_this_machine(shared: tuple[Rig, Running, Run
     assert (result.returncode, result.stderr) == (3, "there is no agent 'nodee', did you mean 'node'?\n")
 
 
-def test_agent_list_at_one_address_leads_to_the_rest(shared: tuple[Rig, Running, Running]):
+def test_agent_list_at_one_address_finds_the_fleet(shared: tuple[Rig, Running, Running]):
     rig, _, second = shared
     there = ("--at", rig.address(second).removeprefix("tcp://"), "--fleet", "test", "--format", "json")
     elsewhere = str(rig.directory / "elsewhere")
@@ -52,7 +52,7 @@ def test_agent_list_at_one_address_leads_to_the_rest(shared: tuple[Rig, Running,
         assert {row["agent"] for row in json.loads(result.stdout)} == names
 
 
-def test_task_list_tells_what_tasks_do(shared: tuple[Rig, Running, Running]):
+def test_task_list_shows_tasks(shared: tuple[Rig, Running, Running]):
     rig, _, _ = shared
     rows = rig.listed("task", "list", "gate")
     load = {"agent": "gate", "service": "device", "task": "load", "type": "host.load", "state": "running"}
@@ -64,7 +64,7 @@ def test_task_list_tells_what_tasks_do(shared: tuple[Rig, Running, Running]):
     assert ["gate", "device", "load", "host.load", "running", "2"] in [line.split() for line in lines]
 
 
-def test_agents_that_do_not_answer_are_named(rig: Rig, freeze: Callable[[Running], None]):
+def test_silent_agents_are_reported(rig: Rig, freeze: Callable[[Running], None]):
     agents = {name: rig.ready(name) for name in ("a", "b", "c")}
     freeze(agents["b"])
     silent = f"b ({rig.addresses(agents['b'])[0]}) did not answer: nothing came within 1 s\n"
@@ -85,7 +85,7 @@ def test_agents_that_do_not_answer_are_named(rig: Rig, freeze: Callable[[Running
     assert missing.returncode == 3 and "there is no agent 'd'" in missing.stderr
 
 
-def test_address_at_which_no_agent_listens_is_exit_code_3(rig: Rig):
+def test_address_without_an_agent_exits_with_3(rig: Rig):
     with socket.create_server(("127.0.0.1", 0)) as server:
         server.settimeout(10.0)
         address = f"127.0.0.1:{server.getsockname()[1]}"
@@ -102,7 +102,7 @@ def test_address_at_which_no_agent_listens_is_exit_code_3(rig: Rig):
         assert (refused.returncode, refused.stderr) == (3, f"tcp://{address} cannot be reached: connection refused\n")
 
 
-def test_agent_that_was_killed_leaves_no_entry(rig: Rig):
+def test_killed_agent_leaves_no_entry(rig: Rig):
     rig.ready("a").signalled(signal.SIGKILL)
     assert len(list(rig.runtime.glob("*.json"))) == 1
     assert rig.pancakes("agent", "list").returncode == 3

@@ -1,4 +1,4 @@
-"""200 control commands a second over four clients at once: each is answered, in one order that everyone sees."""
+"""200 control commands per second from four clients: each is answered, in one order that all clients see."""
 
 import random
 from collections.abc import Iterator
@@ -53,12 +53,12 @@ def abuse(rig: Rig, agents: dict[str, Running]) -> Iterator[Abuse]:
 
 
 def of_agent(answered: list[Answered], agent: str) -> list[Answered]:
-    """What one agent was asked, in the order that it says it took it in."""
+    """Return the commands to one agent, in the order in which it applied them."""
     return sorted((it for it in answered if it.asked.agent == agent), key=lambda it: it.reply.number)
 
 
 def one_order_for_all(rig: Rig, abuse: Abuse, answered: list[Answered], agent: str) -> None:
-    """No number is there twice, and all clients and the file of the agent tell the same story."""
+    """Check that numbers are unique, and that all clients and the agent's log file agree."""
     numbers = [it.reply.number for it in of_agent(answered, agent)]
     assert len(set(numbers)) == len(numbers)
     assert 0 < min(numbers) <= max(numbers) < abuse.ask(0, agent, Describe()).number
@@ -75,17 +75,17 @@ def one_order_for_all(rig: Rig, abuse: Abuse, answered: list[Answered], agent: s
 
 
 def said_by(source: str, story: list[Told]) -> list[Told]:
-    """What one component said."""
+    """Return the events of one component."""
     return [told for told in story if told.source == source]
 
 
 def rows(abuse: Abuse, agent: str) -> dict[str, dict[str, Any]]:
-    """What an agent says of its tasks, by name."""
+    """Return an agent's descriptions of its tasks, by name."""
     return {row["task"]: row for row in abuse.ask(0, agent, Describe()).result["tasks"]}
 
 
 class Model:
-    """What a task does if its commands are carried out one after the other, and nothing else happens."""
+    """A model of a task whose commands are applied one after the other, without other events."""
 
     def __init__(self) -> None:
         self.runs = True
@@ -93,7 +93,7 @@ class Model:
         self.step = 1
 
     def take(self, body: Any) -> bool:
-        """Carries out a command; returns whether an agent would."""
+        """Apply a command; return whether an agent would."""
         match body:
             case Start(settings=settings):
                 if self.runs or (settings is not None and "stepp" in settings):
@@ -120,7 +120,7 @@ class Model:
 
 
 def contradictions(source: random.Random) -> list[tuple[str, Any]]:
-    """Commands for three tasks, drawn at random: most of them take back what the one before has done."""
+    """Return random commands for three tasks; most of them undo the one before."""
 
     def draw(task: str) -> Any:
         return source.choice(
@@ -170,7 +170,7 @@ It is stuck on a busy machine, and starting where it has just arrived.
 
 
 def stops_and_moves(source: random.Random) -> list[tuple[str, Any]]:
-    """Returns commands for one task, to both agents: each eighth moves it."""
+    """Return commands for one task, to both agents; every eighth migrates it."""
     commands: list[tuple[str, Any]] = []
     for index in range(COMMANDS):
         agent, other = source.choice([("a", "b"), ("b", "a")])
@@ -179,7 +179,7 @@ def stops_and_moves(source: random.Random) -> list[tuple[str, Any]]:
     return commands
 
 
-def test_commands_to_a_task_that_moves_leave_one_task(rig: Rig, abuse: Abuse):
+def test_commands_to_a_migrating_task_leave_one_task(rig: Rig, abuse: Abuse):
     source = random.Random(11)
     answered: list[Answered] = []
     moved = met = False
@@ -202,7 +202,7 @@ def test_commands_to_a_task_that_moves_leave_one_task(rig: Rig, abuse: Abuse):
         one_order_for_all(rig, abuse, answered, agent)
 
 
-def test_commands_to_services_that_go_and_come_are_answered(rig: Rig, abuse: Abuse):
+def test_commands_to_restarting_services_are_answered(rig: Rig, abuse: Abuse):
     source = random.Random(23)
     commands: list[tuple[str, Any]] = []
     for index in range(COMMANDS):

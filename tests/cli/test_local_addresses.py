@@ -1,4 +1,4 @@
-"""Agents at `local://`: whom they let in, and what they do where that cannot be."""
+"""Agents at `local://`: who may connect, and what happens if the socket cannot be made."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from cli.processes import Rig
 
 @pytest.fixture
 def group() -> str:
-    """A group of whoever runs the tests."""
+    """Return a group of the user who runs the tests."""
     return grp.getgrgid(os.getgid()).gr_name
 
 
@@ -35,7 +35,7 @@ def test_local_address_is_open_to_a_group(rig: Rig, group: str):
     assert [row["agent"] for row in rig.listed("agent", "list", "--at", "local://a", "--fleet", "test")] == ["a"]
 
 
-def test_local_address_in_an_open_directory_is_not_taken(rig: Rig):
+def test_local_address_in_an_open_directory_is_refused(rig: Rig):
     rig.runtime.mkdir(mode=0o777)
     rig.runtime.chmod(0o777)
     agent = rig.agent(rig.config("a"))
@@ -46,7 +46,6 @@ def test_local_address_in_an_open_directory_is_not_taken(rig: Rig):
 def test_local_address_for_an_unknown_group_ends_the_agent(rig: Rig):
     agent = rig.agent(rig.config("a", agent='local_group = "pancakers"'))
     agent.hear(
-        "cannot listen at local://test/a: there is no group 'pancakers' on this machine,"
-        " which [agent] local_group names"
+        "cannot listen at local://test/a: the group 'pancakers' of [agent] local_group does not exist on this machine"
     )
     assert agent.process.wait(10.0) == 1

@@ -1,4 +1,4 @@
-"""`pancakes log`: what agents have said and done, and what they say while it is looked."""
+"""`pancakes log`: the past log lines and events of agents, and new ones with `--follow`."""
 
 from collections.abc import Callable, Iterator
 from contextlib import closing
@@ -40,7 +40,7 @@ Start = Callable[..., LiveOutput]
 
 @pytest.fixture(scope="module")
 def shared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Rig, Running]]:
-    """An agent that speaks ever on, then a quiet one whose mission began later; no test changes them."""
+    """An agent that logs all the time, and a quiet one whose mission began later; no test changes them."""
     with closing(Rig(tmp_path_factory.mktemp("shared"))) as rig:
         rig.install("talk", ENTRY_POINTS, SOURCE)
         agent = rig.ready("a", TALK)
@@ -53,7 +53,7 @@ def records(rig: Rig, *arguments: str) -> list[dict[str, Any]]:
     return rig.listed("log", *arguments)
 
 
-def test_log_tells_what_was_said_before(shared: tuple[Rig, Running]):
+def test_log_shows_the_past(shared: tuple[Rig, Running]):
     rig, _ = shared
     found = records(rig, "a", "--level", "debug")
     spoke = next(record for record in found if record["kind"] == "spoke")
@@ -65,7 +65,7 @@ def test_log_tells_what_was_said_before(shared: tuple[Rig, Running]):
     assert {record["agent"] for record in records(rig, "b")} == {"b"}
 
 
-def test_log_shows_only_what_was_asked_for(shared: tuple[Rig, Running]):
+def test_log_filters(shared: tuple[Rig, Running]):
     rig, agent = shared
     talk = ("--from", "a/client")  # the kernel warns where a busy machine holds its threads
     assert [record["text"] for record in records(rig, "--level", "error", *talk)] == ["an error"]
@@ -83,7 +83,7 @@ def test_log_shows_only_what_was_asked_for(shared: tuple[Rig, Running]):
     assert not any(record["kind"] == "spoke" for record in found)
 
 
-def test_log_merges_agents_by_when_it_was_said(shared: tuple[Rig, Running]):
+def test_log_merges_agents_by_time(shared: tuple[Rig, Running]):
     """The mission of b began later, so its times are smaller."""
     rig, _ = shared
     told = [f"{record['agent']} {words_of(record)}" for record in records(rig)]
@@ -91,7 +91,7 @@ def test_log_merges_agents_by_when_it_was_said(shared: tuple[Rig, Running]):
     assert [line for line in told[told.index("b spoke word=hello") :] if line.startswith("a word")]
 
 
-def test_log_colours_levels_on_a_terminal_only(shared: tuple[Rig, Running]):
+def test_log_colours_levels_only_on_a_terminal(shared: tuple[Rig, Running]):
     rig, _ = shared
     code, shown = on_a_terminal(rig, 24, 100, "log", "-f", "a", "--level", "warning", until=b"an error")
     assert code == 0
@@ -100,7 +100,7 @@ def test_log_colours_levels_on_a_terminal_only(shared: tuple[Rig, Running]):
     assert "\x1b" not in rig.pancakes("log").stdout
 
 
-def test_log_that_follows_loses_and_doubles_nothing(shared: tuple[Rig, Running]):
+def test_log_follow_neither_loses_nor_repeats(shared: tuple[Rig, Running]):
     rig, _ = shared
     with closing(LiveOutput(rig, "log", "-f", "a", "--from", "a/client", "--grep", "word [0-9]")) as log:
         numbers = [int(log.line("word").rpartition(" ")[2])]
@@ -115,7 +115,7 @@ def test_log_that_follows_loses_and_doubles_nothing(shared: tuple[Rig, Running])
         assert log.interrupt() == 0
 
 
-def test_log_comes_in_pages_when_it_is_long(rig: Rig):
+def test_long_log_is_read_in_pages(rig: Rig):
     rig.install("talk", ENTRY_POINTS, SOURCE)
     rig.ready("a", '[task.Chatter]\ntype = "talk.Chatter"\n')
     said = [record["text"] for record in records(rig, "--from", "a/client/Chatter")]
@@ -139,7 +139,7 @@ class Liar(Task):
 """
 
 
-def test_log_goes_on_when_an_agent_that_was_not_asked_speaks_on_log(rig: Rig, start: Start):
+def test_log_ignores_other_agents_on_the_channel(rig: Rig, start: Start):
     rig.install("talk", ENTRY_POINTS, SOURCE)
     rig.install("liar", "[pancakes.tasks]\nliar.Liar = plugin_liar:Liar\n", LIAR)
     heard = rig.ready("b", TALK)
@@ -162,7 +162,7 @@ def test_log_goes_on_when_an_agent_that_was_not_asked_speaks_on_log(rig: Rig, st
     assert "lie 8" in rig.pancakes("log", "b").stdout
 
 
-def test_log_takes_in_agents_that_start_later_or_again(rig: Rig, start: Start):
+def test_log_includes_agents_that_start_later_or_again(rig: Rig, start: Start):
     rig.install("talk", ENTRY_POINTS, SOURCE)
     rig.ready("a", TALK).hear("word 3")
     log = start("log", "-f", "--grep", "spoke|ready")
@@ -183,7 +183,7 @@ def test_log_takes_in_agents_that_start_later_or_again(rig: Rig, start: Start):
     assert a_said == ["kernel: ready", "Talk: spoke word=hello"]
 
 
-def test_log_names_an_agent_whose_log_service_is_stopped(rig: Rig):
+def test_log_reports_an_agent_without_its_log_service(rig: Rig):
     rig.install("talk", ENTRY_POINTS, SOURCE)
     for name in ("a", "b"):
         rig.ready(name, QUIET)
@@ -195,14 +195,14 @@ def test_log_names_an_agent_whose_log_service_is_stopped(rig: Rig):
     assert (result.returncode, result.stdout) == (1, "")
 
 
-def test_log_counts_an_event_as_info_and_a_line():
+def test_log_level_of_events_and_lines():
     record = {"t_s": 1.0, "agent": "a", "source": "a/client", "kind": "moved", "to": "b", "error": "", "cost": 0}
     assert words_of(record) == "moved to=b cost=0"
     assert wants(record, "info", (), None)
     assert not wants(record, "warning", (), None)
 
 
-def test_log_shows_once_what_comes_in_two_ways():
+def test_log_shows_repeated_records_once():
     def line(n: int) -> dict[str, Any]:
         return {"t_s": float(n), "agent": "a", "source": "a/client", "kind": "line", "level": "info", "text": str(n)}
 

@@ -1,4 +1,4 @@
-"""An agent that had a guarded task is gone for good: what people see of that, and how they help."""
+"""An agent with a guarded task is gone for good: what users see, and what they can do."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class Guarded:
 
 
 def soon(found: Callable[[], Any]) -> Any:
-    """Asks again and again until there is an answer; a command has no event that one could wait for."""
+    """Poll until there is an answer; a command has no event to wait for."""
     until_s = monotonic() + PATIENCE_S
     while not (it := found()):
         assert monotonic() < until_s
@@ -65,7 +65,7 @@ def guarded(rig: Rig) -> Iterator[Guarded]:
     yield made
 
 
-def test_task_revive_goes_on_from_the_checkpoint_that_is_left(guarded: Guarded):
+def test_task_revive_starts_from_the_remaining_checkpoint(guarded: Guarded):
     rig, asked = guarded.rig, ("task", "revive", "d/Count")
     (found,) = rig.listed("task", "info", "a/Count")
     guarding = found["guarding"]
@@ -95,7 +95,7 @@ def test_task_revive_goes_on_from_the_checkpoint_that_is_left(guarded: Guarded):
     assert {row["agent"]: row["rest"] for row in rows} == {"a": "disputed", "d": ""}
 
 
-def test_task_take_is_for_a_task_that_waits_for_a_person(rig: Rig):
+def test_task_take_starts_a_waiting_take_over(rig: Rig):
     guarded = Guarded(rig, TASK + 'takeover = "ask"\n')
     soon(lambda: [row for row in guarded.guards() if row["guardian"] == "c" and row["checkpoint"]])
     guarded.kill("a")
@@ -110,7 +110,7 @@ def test_task_take_is_for_a_task_that_waits_for_a_person(rig: Rig):
     assert accounts[0]["source"] == "a" and accounts[0]["cause"].startswith("taken over from a, ")
 
 
-def test_task_revive_goes_on_without_guardians(guarded: Guarded):
+def test_task_revive_resumes_without_guardians(guarded: Guarded):
     rig = guarded.rig
     guarded.kill("b", "c")
     heard(guarded.agents["a"], "its guardians do not answer")
@@ -124,7 +124,7 @@ def test_task_revive_goes_on_without_guardians(guarded: Guarded):
     assert soon(lambda: [row for row in guarded.guards() if row["guardian"] == "a" and row["permit_s"]])
 
 
-def test_task_revive_is_for_agents_that_all_have_copied_disks(guarded: Guarded):
+def test_task_revive_works_on_copied_disks(guarded: Guarded):
     rig = guarded.rig
     guarded.kill("a", "b", "c", "d")
     for name in "abcd":

@@ -1,4 +1,4 @@
-"""`pancakes doctor` on the machine: libraries, plug-ins, folders, disks, and what is wrong with each."""
+"""`pancakes doctor` on the machine: faults of libraries, plug-ins, folders and disks."""
 
 import os
 import resource
@@ -42,7 +42,7 @@ def test_machine_check_of_versions(monkeypatch: pytest.MonkeyPatch):
         assert all(it.level == "ok" for it in check_python()) is good, (version, bounds)
 
 
-def test_machine_check_names_a_library_that_is_missing(monkeypatch: pytest.MonkeyPatch):
+def test_machine_check_reports_a_missing_library(monkeypatch: pytest.MonkeyPatch):
     needs = ["msgpack>=99", "no-such-library>=1", "pytest>=999 ; extra == 'test'"]
     monkeypatch.setattr("importlib.metadata.requires", lambda name: needs)
 
@@ -56,7 +56,7 @@ def test_machine_check_names_a_library_that_is_missing(monkeypatch: pytest.Monke
     assert found[0].advice == "pip install 'msgpack>=99'"
 
 
-def test_machine_check_names_a_plugin_that_cannot_be_imported():
+def test_machine_check_reports_a_broken_plugin():
     class Broken(Plugins):
         def get(self, group: str, name: str) -> Any:
             from pancakes.errors import PluginError
@@ -83,7 +83,7 @@ def test_machine_check_of_the_runtime_directory(tmp_path: Path, monkeypatch: pyt
     assert levels(check_runtime_dir()) == [("ok", "runtime directory")]
 
 
-def test_machine_check_of_directories_of_sockets(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_machine_check_of_socket_directories(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setenv(VARIABLE, str(tmp_path / "runtime"))
     assert levels(check_sockets()) == [], "no agent has listened yet"
     fleet = tmp_path / "runtime" / "local" / "garage"
@@ -105,7 +105,7 @@ def test_machine_check_of_directories_of_sockets(tmp_path: Path, monkeypatch: py
 
 
 def written(tmp_path: Path, entry: JournalEntry) -> FileJournal:
-    """Returns a journal that has an entry with a file of its own."""
+    """Return a journal with an entry that has its own file."""
     journal = FileJournal(tmp_path / "state" / "fleet" / "a")
     journal.write([entry])
     journal.close()
@@ -119,7 +119,7 @@ def journal(tmp_path: Path) -> Iterator[FileJournal]:
     journal.close()
 
 
-def test_machine_check_tells_who_uses_a_state_directory(tmp_path: Path, journal: FileJournal):
+def test_machine_check_shows_the_user_of_a_state_directory(tmp_path: Path, journal: FileJournal):
     first, second = check_state_dirs(tmp_path / "state")
     assert first.text.endswith(f"MiB are free in {tmp_path / 'state'}")
     assert second.text == f"{journal.directory} is in use by process {os.getpid()}"

@@ -1,4 +1,4 @@
-"""`pancakes task migrate|migrations|adopt`, on agents that run."""
+"""`pancakes task migrate|migrations|adopt`, on running agents."""
 
 import json
 import signal
@@ -44,20 +44,20 @@ BUSY = '[task.Busy]\ntype = "count.Busy"\nstart = false\n'
 
 
 def command(rig: Rig, *arguments: str) -> tuple[int, list[dict[str, Any]], str]:
-    """Runs a command; returns its exit code, what it printed as JSON, and what it said on standard error."""
+    """Run a command; return its exit code, its JSON output, and its standard error."""
     result = rig.pancakes(*arguments, "--format", "json")
     return result.returncode, json.loads(result.stdout) if result.stdout else [], result.stderr
 
 
 def running(rig: Rig, task: str = "Count") -> list[str]:
-    """The agents on which a task runs."""
+    """Return the agents on which a task runs."""
     rows = command(rig, "task", "list")[1]
     return [row["agent"] for row in rows if row["task"] == task and row["state"] == "running"]
 
 
 @pytest.fixture
 def pair(rig: Rig) -> tuple[Running, Running]:
-    """Two agents that are connected; the first runs `Count`."""
+    """Two connected agents; the first runs `Count`."""
     rig.install("count", ENTRY_POINTS, SOURCE)
     first = rig.ready("a", COUNT + BUSY)
     second = rig.ready("b", agent=f'peers = ["{rig.address(first)}"]')
@@ -90,8 +90,8 @@ def test_task_migrate_returns_once_the_task_runs_there(rig: Rig, pair: tuple[Run
     assert command(rig, "task", "migrations") == (0, [kept], "")
 
 
-def test_task_migrate_dry_run_tells_the_bids(rig: Rig, pair: tuple[Running, Running]):
-    """And what is refused at once, or by the only neighbour, moves nothing either."""
+def test_task_migrate_dry_run_shows_the_bids(rig: Rig, pair: tuple[Running, Running]):
+    """A migration that is refused, at once or by the only neighbour, does not stop the task either."""
     code, (ledger,), _ = command(rig, "task", "migrate", "a/client/Count", "--dry-run")
     assert (code, ledger["outcome"], ledger["winner"]) == (0, "dry run", "b")
 
@@ -114,7 +114,7 @@ def test_task_migrate_dry_run_tells_the_bids(rig: Rig, pair: tuple[Running, Runn
     assert running(rig) == ["a"]
 
 
-def test_task_migrate_that_is_not_answered_is_exit_code_3(
+def test_unanswered_task_migrate_exits_with_3(
     rig: Rig, pair: tuple[Running, Running], freeze: Callable[[Running], None]
 ):
     assert command(rig, "task", "migrate", "c/Count")[0] == 3
@@ -135,7 +135,7 @@ def test_task_migrate_that_is_not_answered_is_exit_code_3(
 
 
 def give_away(rig: Rig, agent: str, peer: str) -> None:
-    """Writes into the journal of an agent that stands still what a cut just after COMMITTED leaves there."""
+    """Write the records into the journal of a stopped agent that a cut just after COMMITTED leaves there."""
     journal = FileJournal(rig.directory / "state" / "pancakes" / "test" / agent)
     entry = journal.read("record", f"{agent}/Count")
     assert entry is not None
@@ -145,7 +145,7 @@ def give_away(rig: Rig, agent: str, peer: str) -> None:
     journal.close()
 
 
-def test_task_adopt_takes_a_task_in_doubt_by_force(rig: Rig):
+def test_task_adopt_runs_a_task_in_doubt_with_force(rig: Rig):
     rig.install("count", ENTRY_POINTS, SOURCE)
     agent = rig.ready("a", COUNT)
     code, rows, said = command(rig, "task", "adopt", "a/Count", "--force")

@@ -1,4 +1,4 @@
-"""An agent that is to be reached from other machines, and whose name leads to its own loopback, as Debian has it."""
+"""An agent for other machines, whose host name resolves to its own loopback address, as on Debian."""
 
 import sys
 
@@ -10,7 +10,7 @@ from harness.programs import AGENT, PANCAKES, run
 pytestmark = pytest.mark.skipif(not may_have_hosts(), reason="no namespace of one's own may be made here")
 
 
-def test_a_name_that_leads_to_the_loopback_is_told_by_agent_doctor_and_check(rig: Rig):
+def test_name_of_the_loopback_is_reported(rig: Rig):
     enter = with_hosts(rig.directory, {"robot1": "127.0.1.1"})
     path = rig.config("a", INSECURE)
     path.write_text(path.read_text().replace("127.0.0.1:0", "robot1:0"))
@@ -34,7 +34,7 @@ def test_a_name_that_leads_to_the_loopback_is_told_by_agent_doctor_and_check(rig
         agent.close()
 
 
-def test_nothing_is_said_of_an_address_that_others_reach_or_is_meant_for_this_machine(rig: Rig):
+def test_reachable_and_local_addresses_are_not_reported(rig: Rig):
     path = rig.config("a", INSECURE)
     assert "only this machine" not in rig.pancakes("config", "check", str(path)).stderr
     path.write_text(path.read_text().replace("127.0.0.1:0", "0.0.0.0:0"))

@@ -1,4 +1,4 @@
-"""`pancakes new`: what it writes works at once, and a bad name leaves nothing behind."""
+"""`pancakes new`: the files that it writes work at once, and a bad name leaves nothing behind."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ def new(*arguments: str) -> Result:
 
 
 class AsWritten(configparser.ConfigParser):
-    """Leaves capital letters in the names of options."""
+    """Keep capital letters in the names of options."""
 
     def optionxform(self, optionstr: str) -> str:
         return optionstr
 
 
 def installed(folder: Path, site: Path) -> dict[str, str]:
-    """Installs a distribution as pip would leave it on the disk, without pip; returns an environment that has it."""
+    """Install a distribution without pip, as pip would leave it on disk; return an environment that has it."""
     parser = AsWritten(delimiters=("=",))
     parser.read(folder / "setup.cfg")
     name, version = parser["metadata"]["name"], parser["metadata"]["version"]
@@ -52,7 +52,7 @@ def installed(folder: Path, site: Path) -> dict[str, str]:
 
 @pytest.mark.parametrize("kind", KINDS)
 class TestWhatIsWritten:
-    def test_its_tests_pass_and_its_agent_runs(self, kind, tmp_path, rig):
+    def test_created_tests_pass_and_agent_runs(self, kind, tmp_path, rig):
         made = new(kind, "GreenHouse", "--into", str(tmp_path))
         assert made.exit_code == 0, made.output
         folder = tmp_path / "green-house"
@@ -79,7 +79,7 @@ class TestWhatIsWritten:
         loud = [line for line in running.said if " error " in line or " warning " in line]
         assert [line for line in loud if "has held a thread" not in line] == []
 
-    def test_ruff_finds_nothing_whatever_it_is_called(self, kind, tmp_path):
+    def test_ruff_accepts_created_files_of_any_name(self, kind, tmp_path):
         ruff = pytest.importorskip("ruff")
         for name in ("ab", "wind-speed", LONG):
             assert new(kind, name, "--into", str(tmp_path)).exit_code == 0
@@ -89,7 +89,7 @@ class TestWhatIsWritten:
             )
             assert found.returncode == 0, found.stdout
 
-    def test_the_readme_tells_what_there_is(self, kind, tmp_path):
+    def test_created_readme_lists_its_files(self, kind, tmp_path):
         dry = new(kind, "green-house", "--into", str(tmp_path), "--dry-run", "--format", "json")
         assert list(tmp_path.iterdir()) == []
         wet = new(kind, "green-house", "--into", str(tmp_path), "--format", "json")
@@ -119,7 +119,7 @@ def test_new_templates_are_installed_with_the_package():
     assert "templates/**/*.in" in parser["options.package_data"]["pancakes.tools.cli.verbs"]
 
 
-def test_new_tells_the_next_commands(tmp_path):
+def test_new_prints_the_next_commands(tmp_path):
     told = new("task", "scan_target", "--into", str(tmp_path)).stdout
     assert f"cd {os.path.relpath(tmp_path / 'scan-target')}\n" in told
     assert "pip install -e " in told
@@ -185,8 +185,8 @@ def test_new_refuses_a_bad_name_and_leaves_nothing(tmp_path):
     assert "is already installed here" in Names("pancakes-agents", "zz", "Zz").conflict("task")
 
 
-def test_new_refuses_names_that_its_templates_use():
-    """A class of the user's must not hide one that its own files import or define."""
+def test_new_refuses_names_used_in_templates():
+    """A user's class must not hide one that its own files import or define."""
     names = set()
     for kind in KINDS:
         for file in files_of(kind, Names.of("zz")):
@@ -199,7 +199,7 @@ def test_new_refuses_names_that_its_templates_use():
     assert classes == scaffold.named_in_templates()
 
 
-def test_new_leaves_a_folder_that_exists_alone(tmp_path):
+def test_new_does_not_change_an_existing_folder(tmp_path):
     (tmp_path / "scan-target").mkdir()
     (tmp_path / "scan-target" / "precious").write_text("mine")
     for options in ((), ("--dry-run",)):
@@ -211,7 +211,7 @@ def test_new_leaves_a_folder_that_exists_alone(tmp_path):
     assert [path.name for path in tmp_path.rglob("*")] == ["scan-target", "precious"]
 
 
-def test_new_leaves_nothing_if_writing_fails_half_way(tmp_path):
+def test_new_leaves_nothing_after_a_failed_write(tmp_path):
     files = [File("one.txt", "", "1"), File("one.txt/two.txt", "", "2")]
     with pytest.raises(PancakesError, match=r"/made cannot be written: (Not a directory|File exists)"):
         write(tmp_path / "made", files)

@@ -35,7 +35,7 @@ def agent(nameless: Rig) -> Iterator[Running]:
         yield running
 
 
-def test_an_agent_runs_whose_state_directory_is_named(nameless: Rig, agent: Running):
+def test_agent_with_a_state_directory_runs_without_home(nameless: Rig, agent: Running):
     assert " a " in pancakes(nameless, "agent", "list").stdout
     found = pancakes(nameless, "doctor")
     assert f"the user {UID} has no home folder. Set HOME or XDG_STATE_HOME" in found.stdout
@@ -45,7 +45,7 @@ def test_an_agent_runs_whose_state_directory_is_named(nameless: Rig, agent: Runn
     assert pancakes(nameless, "log", "a").returncode == 0
 
 
-def test_each_folder_that_is_needed_and_unknown_is_named(nameless: Rig):
+def test_unknown_folders_are_reported_with_their_variables(nameless: Rig):
     path = nameless.config("b", INSECURE)
     command = as_nameless(sys.executable, "-m", AGENT, "--config", str(path))
     with closing(Running(command, nameless.environment, nameless.directory)) as running:

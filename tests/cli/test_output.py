@@ -1,4 +1,4 @@
-"""How the verbs print what they have found."""
+"""The output of verbs as tables and as JSON."""
 
 import json
 import sys
@@ -9,7 +9,7 @@ import pytest
 from pancakes.tools.cli.output import Part, Printer, Rows
 
 
-def test_output_json_has_only_numbers_that_json_knows(capsys: pytest.CaptureFixture[str]):
+def test_output_json_has_no_nan_or_infinity(capsys: pytest.CaptureFixture[str]):
     Printer("json").emit([{"radius_m": float("inf"), "levels": (float("nan"), 0.5)}])
 
     def refuse(name: str) -> None:
@@ -18,7 +18,7 @@ def test_output_json_has_only_numbers_that_json_knows(capsys: pytest.CaptureFixt
     assert json.loads(capsys.readouterr().out, parse_constant=refuse) == [{"radius_m": None, "levels": [None, 0.5]}]
 
 
-def test_output_table_fits_a_narrow_terminal_and_cuts_nothing(
+def test_output_table_folds_in_a_narrow_terminal(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
@@ -68,7 +68,7 @@ def test_output_of_a_generator_runs_only_for_people(capsys: pytest.CaptureFixtur
     assert ran and shown[0] == "a sentence" and shown[-1].split() == ["y", "-"]
 
 
-def test_output_for_people_leaves_json_alone(capsys: pytest.CaptureFixture[str]):
+def test_output_for_people_is_not_in_json(capsys: pytest.CaptureFixture[str]):
     for format_ in ("table", "json"):
         Printer(format_).note("on its way")
         Printer(format_).tell("only for people")

@@ -1,4 +1,4 @@
-"""`pancakes param ...`: settings of tasks that run, looked at, explained, changed, kept and brought back."""
+"""`pancakes param ...`: show, describe, change, dump and load the settings of running tasks."""
 
 import json
 import tomllib
@@ -83,7 +83,7 @@ def shared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
 
 @pytest.fixture
 def agent(rig: Rig) -> Running:
-    """An agent of the test's own."""
+    """An agent for one test."""
     rig.install("count", ENTRY_POINTS, SOURCE)
     return rig.ready("a", TASKS)
 
@@ -114,7 +114,7 @@ def test_param_list_and_get_show_settings(shared: Rig):
     assert refused(shared, "get", "a/Count", "sttep") == "a/Count has no setting 'sttep', did you mean 'step'?"
 
 
-def test_param_describe_explains_what_may_be_set(shared: Rig):
+def test_param_describe_explains_settings(shared: Rig):
     rows = {row["param"]: row for row in done(shared, "describe", "a/Count")}
     assert rows["step"] == {
         "agent": "a",
@@ -148,7 +148,7 @@ def test_param_set_refused_changes_nothing(shared: Rig):
     refused(shared, "set", "a/Idle", "step=7")
 
 
-def test_param_load_refuses_a_file_that_is_none(shared: Rig):
+def test_param_load_refuses_a_malformed_file(shared: Rig):
     found = {}
     for text in ("x = \n", "[task.Count]\nstep = 1\n", "[task.Other.settings]\nstep = 1\n"):
         (shared.directory / "bad.toml").write_text(text)
@@ -161,7 +161,7 @@ def test_param_load_refuses_a_file_that_is_none(shared: Rig):
     assert others[1][1] == "bad.toml has no settings of 'Count'. It has those of Other"
 
 
-def test_param_completion_knows_names_of_settings(shared: Rig):
+def test_param_completion_completes_names_of_settings(shared: Rig):
     words = "pancakes param set a/Count st"
     asked = shared.pancakes(_PANCAKES_COMPLETE="bash_complete", COMP_WORDS=words, COMP_CWORD="4")
     assert "plain,step=" in asked.stdout
@@ -202,7 +202,7 @@ def test_param_dump_fits_a_configuration_and_is_loaded_again(rig: Rig, agent: Ru
     assert (given.returncode, settings(rig)["step"]) == (0, 9)
 
 
-def test_param_load_does_what_is_good_and_names_who_refuses(rig: Rig, agent: Running):
+def test_param_load_reports_tasks_that_refuse(rig: Rig, agent: Running):
     (rig.directory / "new.toml").write_text(
         "[agent]\nname = 'ignored'\n[task.Count.settings]\nstep = 3\nmood = 'odd'\n[device.here.settings]\nx_m = 4.0\n"
     )

@@ -1,4 +1,4 @@
-"""`pancakes plugin list`: everything that is installed for agents, and what of it is broken."""
+"""`pancakes plugin list`: the installed plug-ins, and which of them are broken."""
 
 import json
 
@@ -6,7 +6,7 @@ from cli.invoked import invoked
 from cli.processes import Rig
 
 
-def test_plugin_list_names_who_offers_each():
+def test_plugin_list_shows_distributions():
     result = invoked("plugin", "list", "--format", "json")
     assert result.exit_code == 0, result.output
     row = next(row for row in json.loads(result.stdout) if row["name"] == "host.load")
@@ -27,7 +27,7 @@ def test_plugin_list_names_who_offers_each():
     assert names == ["client", "device", "log", "metrics", "network", "local", "tcp"]
 
 
-def test_plugin_list_names_what_is_broken_with_the_reason(rig: Rig):
+def test_plugin_list_shows_broken_plugins_with_reasons(rig: Rig):
     rig.install("broken", "[pancakes.tasks]\nbroken.Task = plugin_broken:Task\n", "import there_is_no_such_module\n")
     for name in ("one", "two"):
         rig.install(name, f"[pancakes.costs]\nsame = plugin_{name}:Cost\n", "class Cost: pass\n")

@@ -1,4 +1,4 @@
-"""`pancakes record ...` and `pancakes-agent --record`, with agents that run, and one that is killed."""
+"""`pancakes record ...` and `pancakes-agent --record`, with running agents and a killed one."""
 
 import json
 import os
@@ -25,13 +25,13 @@ def rows(rig, *arguments, code=0):
 
 
 def grown(path, size):
-    """Waits until a file has grown to a size."""
+    """Wait until a file has grown to a size."""
     until_s = time.monotonic() + PATIENCE_S
     while not path.exists() or path.stat().st_size < size:
         assert time.monotonic() < until_s, f"{path} does not grow"
 
 
-def test_record_starts_lists_stops_and_looks_at_recordings(rig):
+def test_record_verbs_start_list_stop_and_show(rig):
     for name in ("a", "b"):
         rig.ready(name, LOAD, agent=HERE)
     assert rows(rig, "start", "--dry-run") == [
@@ -61,7 +61,7 @@ def test_record_starts_lists_stops_and_looks_at_recordings(rig):
     assert "whole" in rig.pancakes("record", "info", "run").stdout
 
 
-def test_record_start_doubts_channels_and_tasks_that_are_not_there(rig):
+def test_record_start_reports_missing_channels_and_tasks(rig):
     rig.install("records", "[pancakes.tasks]\nrecords.Idle = plugin_records:Idle\n", IDLE)
     rig.ready("a", '[channel.map]\n[task.Idle]\ntype = "records.Idle"\n', agent=HERE)
     rig.ready("b", agent=HERE)
@@ -79,14 +79,14 @@ def test_record_start_doubts_channels_and_tasks_that_are_not_there(rig):
         rows(rig, "stop")
 
 
-def test_record_start_doubts_packet_types_that_are_not_installed(rig):
+def test_record_start_reports_unknown_packet_types(rig):
     rig.ready("a", agent=HERE)
     result = rig.pancakes("record", "start", "--type", "tempreature", "--type", "pose", "--dry-run")
     said = "no packet type 'tempreature' is installed here, did you mean 'temperature'?\n"
     assert (result.returncode, result.stderr) == (0, said)
 
 
-def test_record_start_that_is_refused_records_nothing(rig):
+def test_refused_record_start_records_nothing(rig):
     rig.ready("a", "[record]\nstart = false\nfree_mib = 1e9\n", agent='folders = [".", "/proc"]')
     for path in ("r.mcap", "/proc/nowhere/a.mcap"):
         result = rig.pancakes("record", "start", "--path", path)
@@ -97,7 +97,7 @@ def test_record_start_that_is_refused_records_nothing(rig):
     assert not [row["text"] for row in found if "ecord" in row["about"] + row["text"]], "whoever asked was told"
 
 
-def test_record_goes_on_after_a_kill_and_not_after_a_stop(rig):
+def test_record_resumes_after_a_kill_but_not_after_a_stop(rig):
     agent = rig.ready("a", LOAD, agent=HERE)
     rows(rig, "start", "--path", "run/{agent}.mcap")
     grown(rig.directory / "run" / "a.mcap", 4000)

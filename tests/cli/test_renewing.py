@@ -1,4 +1,4 @@
-"""An agent gets a new key while packets go: what was acknowledged arrives, in order and once."""
+"""An agent gets a new key while packets flow: acknowledged packets arrive once and in order."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`pancakes replay ...` into agents that run, and into agents in virtual time."""
+"""`pancakes replay ...` into running agents, and into agents in virtual time."""
 
 import json
 import shutil
@@ -44,7 +44,7 @@ LISTENER = '[task.Answer]\ntype = "replays.Answer"\n'
 
 @pytest.fixture
 def walk(rig):
-    """A recording of an agent `a` that said ten poses, 50 ms apart."""
+    """Return a recording of an agent `a` that published ten poses, 50 ms apart."""
     rig.install("replays", ENTRY, ANSWER)
     (rig.plugins / "plugin_walk.py").write_text(WALK)
     agent = rig.ready("a", WALKER)
@@ -62,19 +62,19 @@ def rows(rig, *arguments, code=0):
 
 
 def stamp_in(line):
-    """Returns the stamp of the packet that the line tells of, in mission time, as the line's own time is."""
+    """Return the stamp of the packet in a log line, in mission time like the line's own time."""
     return float(line.rpartition(" said at ")[2])
 
 
 def pose_times(rig):
-    """Returns when the poses were seen, in mission time."""
+    """Return when the poses were received, in mission time."""
     reader = RecordingReader(rig.directory / "r")
     time = reader.mission_time()
     return [time.at(entry.time_ns) for entry in reader.entries() if entry.packet.type == "pose"]
 
 
-def test_replay_feeds_agent_in_name_of_publisher(walk):
-    """The packets reach the agent that they were seen on, with stamps of now."""
+def test_replay_keeps_the_recorded_source(walk):
+    """The packets reach the agent on which they were recorded, with present stamps."""
     agent = walk.ready("a", LISTENER)
     (ready,) = [line for line in agent.said if READY in line]
     (plan,) = [row for row in rows(walk, "r", "--dry-run") if row["type"] == "pose"]
@@ -105,7 +105,7 @@ def test_replay_as_another_agent_slower_and_in_part(walk):
     assert [row["packets"] for row in less if row["type"] == "pose"] == [4]
 
 
-def test_replay_leaves_out_sources_that_run_and_names_unknown_agents(walk):
+def test_replay_skips_running_sources_and_reports_unknown_agents(walk):
     walk.ready("a", WALKER.partition("[record]")[0])
     nothing = walk.pancakes("replay", "r")
     assert (nothing.returncode, nothing.stderr) == (1, "all packets are left out: its source runs\n")
@@ -148,7 +148,7 @@ def test_replay_into_virtual_agents_records_them(walk):
         (("r",), 3, "no agent runs on this machine"),
     ],
 )
-def test_replay_refuses_with_a_sentence(walk, arguments, code, text):
+def test_replay_errors_are_sentences(walk, arguments, code, text):
     result = walk.pancakes("replay", *arguments)
     assert result.returncode == code
     assert text in result.stderr

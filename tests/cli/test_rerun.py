@@ -1,4 +1,4 @@
-"""`pancakes rerun ...` on a recording of an agent that is a process of its own."""
+"""`pancakes rerun ...` on a recording of an agent that ran as a process."""
 
 import json
 
@@ -39,7 +39,7 @@ CONFIG = '[task.Sum]\ntype = "sums.Sum"\n[task.Sum.settings]\ngain = 2.0\n[recor
 
 @pytest.fixture
 def recorded(rig):
-    """An agent whose task got 1, 2 and 3, and said 2, 6 and 12."""
+    """Record an agent whose task received 1, 2 and 3, and published 2, 6 and 12."""
     rig.install("sums", ENTRY, TASK)
     agent = rig.ready("a", CONFIG)
     for value in (1, 2, 3):

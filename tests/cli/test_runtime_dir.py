@@ -1,4 +1,4 @@
-"""The runtime directory: what agents write there, and what is believed of it."""
+"""The runtime directory: what agents write there, and which entries are trusted."""
 
 import fcntl
 import json
@@ -25,7 +25,7 @@ def directory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return directory
 
 
-def test_runtime_dir_entry_stands_until_it_is_removed(directory: Path):
+def test_runtime_dir_entry_exists_until_removed(directory: Path):
     registration = Registration(ENTRY)
     assert entries() == [ENTRY]
 
@@ -35,7 +35,7 @@ def test_runtime_dir_entry_stands_until_it_is_removed(directory: Path):
     assert list(directory.iterdir()) == []
 
 
-def test_runtime_dir_entry_is_written_again_in_a_new_directory(directory: Path):
+def test_runtime_dir_entry_is_rewritten_in_a_new_directory(directory: Path):
     registration = Registration(ENTRY)
     assert not registration.renew()
     session = directory.rename(directory.with_name("ended"))
@@ -53,7 +53,7 @@ def test_runtime_dir_entry_is_written_again_in_a_new_directory(directory: Path):
         assert not is_locked(before), "nothing of the entry before is kept open"
 
 
-def test_runtime_dir_has_an_entry_for_each_of_one_name(directory: Path):
+def test_runtime_dir_has_an_entry_per_process(directory: Path):
     other = RunningAgent("a", "other", "agent", (), 43)
     registrations = [Registration(other), Registration(ENTRY)]
 
@@ -74,7 +74,7 @@ def test_runtime_dir_is_cleared_of_dead_agents_only(directory: Path):
     assert list(directory.iterdir()) == [directory / "notes.txt"]
 
 
-def test_entry_that_is_just_being_written_is_left_alone(directory: Path, monkeypatch: pytest.MonkeyPatch):
+def test_unfinished_entry_is_kept(directory: Path, monkeypatch: pytest.MonkeyPatch):
     lock = fcntl.flock
 
     def looked_at_first(handle: int, operation: int) -> None:
@@ -111,16 +111,16 @@ def test_runtime_dir_of_another_user_is_refused_unless_named(directory: Path, mo
         entries()
 
 
-def test_runtime_dir_is_no_link(directory: Path, tmp_path: Path):
+def test_runtime_dir_must_not_be_a_link(directory: Path, tmp_path: Path):
     target = tmp_path / "elsewhere"
     target.mkdir(mode=0o700)
     directory.symlink_to(target)
 
-    with pytest.raises(PancakesError, match="is no directory"):
+    with pytest.raises(PancakesError, match="is not a directory"):
         Registration(ENTRY)
 
 
-def test_runtime_dir_has_its_place(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
+def test_runtime_dir_default_path(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
     monkeypatch.delenv("PANCAKES_RUNTIME_DIR", raising=False)
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     assert runtime_dir() == tmp_path / "pancakes"
@@ -129,7 +129,7 @@ def test_runtime_dir_has_its_place(monkeypatch: pytest.MonkeyPatch, tmp_path: Pa
     assert runtime_dir() == Path(f"/tmp/pancakes-{os.getuid()}")
 
 
-# What no agent has written -------------------------------------------------------------------------------------
+# Foreign content -----------------------------------------------------------------------------------------------
 
 
 def a_directory(path: Path) -> None:
@@ -204,14 +204,14 @@ ODD = [
 ]
 
 
-def test_runtime_dir_passes_over_what_no_agent_has_written(directory: Path, capfd):
+def test_runtime_dir_ignores_foreign_content(directory: Path, capfd):
     registration = Registration(ENTRY)
     for make in ODD:
         odd = directory / f"{make.__name__}.json"
         make(odd)
         assert entries() == [ENTRY]
         (warning,) = capfd.readouterr().err.splitlines()
-        assert warning.startswith(f"warning: {odd} ") and warning.endswith("; passed over")
+        assert warning.startswith(f"warning: {odd} ") and warning.endswith("; ignored")
         assert os.path.lexists(odd)
         assert entries() == [ENTRY]
         assert capfd.readouterr().err == "", "it is said once"
@@ -226,7 +226,7 @@ def test_runtime_dir_passes_over_what_no_agent_has_written(directory: Path, capf
     registration.remove()
 
 
-def test_runtime_dir_passes_over_a_file_of_another_user(directory: Path, monkeypatch: pytest.MonkeyPatch, capfd):
+def test_runtime_dir_ignores_a_file_of_another_user(directory: Path, monkeypatch: pytest.MonkeyPatch, capfd):
     registration = Registration(ENTRY)
     (directory / "b.7.json").write_text("{}")
     mine, lstat = os.getuid(), os.lstat
@@ -265,7 +265,7 @@ def test_runtime_dir_entry_that_becomes_a_link_is_not_followed(
     assert entry.is_symlink(), "it is left as it is"
 
 
-def test_runtime_dir_names_an_odd_thing_in_the_place_of_an_entry(directory: Path):
+def test_runtime_dir_reports_odd_entries(directory: Path):
     Registration(ENTRY).remove()
     (directory / "a.42.json").mkdir()
 
@@ -274,7 +274,7 @@ def test_runtime_dir_names_an_odd_thing_in_the_place_of_an_entry(directory: Path
     assert entries() == []
 
 
-def test_runtime_dir_with_odd_things_stops_no_command(rig: Rig):
+def test_odd_entries_do_not_stop_commands(rig: Rig):
     rig.ready("a")
     a_directory(rig.runtime / "x.json")
     a_named_pipe(rig.runtime / "y.json")
@@ -297,7 +297,7 @@ def test_runtime_dir_with_odd_things_stops_no_command(rig: Rig):
     assert ended.returncode == 0
 
 
-def test_runtime_dir_that_has_gone_is_made_again_by_an_agent(rig: Rig):
+def test_removed_runtime_dir_is_made_again(rig: Rig):
     agent = rig.ready("a")
     shutil.rmtree(rig.runtime)
     agent.hear("`pancakes` finds a again: its entry in the runtime directory was gone")

@@ -22,12 +22,12 @@ with_systemd = pytest.mark.skipif(shutil.which("systemd-analyze") is None, reaso
 
 
 def values(unit: str, key: str) -> list[str]:
-    """Returns what stands for a key in a unit."""
+    """Return the values of a key in a unit."""
     return [line.partition("=")[2] for line in unit.splitlines() if line.startswith(f"{key}=")]
 
 
 @with_systemd
-def test_unit_has_no_fault_for_systemd_and_little_exposure(tmp_path: Path):
+def test_unit_is_valid_and_confined(tmp_path: Path):
     program = tmp_path / "pancakes agent"
     program.write_text("#!/bin/sh\n")
     program.chmod(0o755)
@@ -53,7 +53,7 @@ def test_unit_has_no_fault_for_systemd_and_little_exposure(tmp_path: Path):
     assert found is not None and float(found[1]) <= EXPOSURE, told
 
 
-def test_unit_may_open_only_what_its_drivers_need():
+def test_unit_opens_only_the_devices_of_its_drivers():
     assert values(unit_of(FACTS), "PrivateDevices") == ["yes"]
     unit = unit_of(replace(FACTS, hardware=(Hardware("/dev/ttyUSB0", "dialout"), Hardware("/dev/ttyUSB1", "dialout"))))
     assert values(unit, "PrivateDevices") == []
@@ -79,13 +79,13 @@ def test_unit_doubles_a_dollar_in_a_command_only():
     assert values(unit, "ReadWritePaths") == ["-/srv/$y", '"-/srv/$ 2"']
 
 
-def test_a_group_may_look_where_the_configuration_says_so():
+def test_unit_opens_the_runtime_directory_to_the_local_group():
     assert values(unit_of(FACTS), "RuntimeDirectoryMode") == ["0700"]
     unit = unit_of(replace(FACTS, group="robots"))
     assert values(unit, "RuntimeDirectoryMode") == ["0750"] and values(unit, "SupplementaryGroups") == ["robots"]
 
 
-def test_one_on_the_network_waits_for_it():
+def test_unit_of_a_networked_agent_waits_for_the_network():
     assert values(unit_of(FACTS), "Wants") == []
     assert values(unit_of(replace(FACTS, networked=True)), "Wants") == ["network-online.target"]
 

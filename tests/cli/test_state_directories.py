@@ -1,4 +1,4 @@
-"""What an agent does with the directory that holds its state: whose it must be, and what if it goes away."""
+"""The state directory of an agent: who must own it, and what happens if it is removed."""
 
 import resource
 import shutil
@@ -53,7 +53,7 @@ def state(rig: Rig) -> Path:
 
 
 @pytest.mark.parametrize("how", GONE)
-def test_agent_ends_if_its_state_directory_goes_away(rig: Rig, state: Path, how: str):
+def test_agent_ends_without_its_state_directory(rig: Rig, state: Path, how: str):
     agent = rig.ready("a", COUNT)
     agent.hear("counted")
 
@@ -67,7 +67,7 @@ def test_agent_ends_if_its_state_directory_goes_away(rig: Rig, state: Path, how:
     assert "Traceback" not in agent.everything()
 
 
-def test_agent_without_tasks_ends_too_if_its_state_directory_goes_away(rig: Rig, state: Path):
+def test_idle_agent_ends_without_its_state_directory(rig: Rig, state: Path):
     agent = rig.ready("a")
     removed(state)
     assert agent.ended() == 1
@@ -84,7 +84,7 @@ def test_agent_refuses_a_state_directory_that_others_can_write(rig: Rig, state: 
     rig.ready("a")
 
 
-def test_agent_with_a_full_disk_answers_and_goes_on_later(rig: Rig, state: Path):
+def test_agent_with_a_full_disk_answers_and_recovers(rig: Rig, state: Path):
     agent = rig.ready("a", COUNT)
     agent.hear("counted")
     _, hard = resource.prlimit(agent.pid, resource.RLIMIT_FSIZE)

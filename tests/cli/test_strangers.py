@@ -1,4 +1,4 @@
-"""Programs that connect to an agent and ask it for nothing keep no operator out of it: real processes and sockets."""
+"""Programs that connect to an agent and send no request do not keep an operator out: real processes and sockets."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ RARE_PINGS = INSECURE.replace("true }", "true, heartbeat_s = 60.0 }")
 
 
 def asked(rig: Rig, address: str) -> None:
-    """An operator gets an answer, by name and by address."""
+    """Check that an operator gets an answer, by name and by address."""
     for where in ((), ("--at", address)):
         done = rig.pancakes("agent", "info", "a", *where)
         assert done.returncode == 0, done.stderr
         assert "role" in done.stdout
 
 
-def test_strangers_as_clients_give_their_places_to_an_operator(rig: Rig):
+def test_idle_clients_give_way_to_an_operator(rig: Rig):
     address = rig.address(rig.ready("a", RARE_PINGS))
     with Strangers(address, MAX_CLIENTS, "client") as strangers:
         strangers.wait_until_up(MAX_CLIENTS)
@@ -37,7 +37,7 @@ def test_strangers_as_clients_give_their_places_to_an_operator(rig: Rig):
         assert "a is full: it has 64 clients, and this one gave its place to another" in refusal
 
 
-def test_strangers_who_say_nothing_are_refused_oldest_first(rig: Rig):
+def test_silent_connections_are_closed_oldest_first(rig: Rig):
     count = MAX_HANDSHAKES + 40
     address = rig.address(rig.ready("a", INSECURE))
     with Strangers(address, count) as strangers:
@@ -55,7 +55,7 @@ def test_strangers_as_agents_do_not_keep_an_operator_out(rig: Rig):
         assert set(strangers.refusals()) == {"a is full: it is in a mesh of 256 already"}
 
 
-def test_clients_that_are_all_in_use_keep_an_operator_out(rig: Rig):
+def test_active_clients_can_fill_all_places(rig: Rig):
     address = rig.address(rig.ready("a", INSECURE))
     changed = threading.Condition()
 

@@ -1,4 +1,4 @@
-"""An agent that a service manager runs, such as systemd: what it tells it, and where its files are."""
+"""An agent under a service manager such as systemd: its notifications, and the folders of its files."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Manager:
         self._socket.bind(str(path))
 
     def hear(self, wanted: str, within_s: float = PATIENCE_S) -> list[str]:
-        """Waits until it is told something; returns all that it was told until then."""
+        """Wait for a notification; return all notifications until then."""
         told: list[str] = []
         self._socket.settimeout(within_s)
         while wanted not in told:
@@ -39,7 +39,7 @@ class Manager:
         return told
 
     def close(self) -> None:
-        """Stops listening."""
+        """Close the socket."""
         self._socket.close()
 
 
@@ -51,7 +51,7 @@ def manager(rig: Rig) -> Iterator[Manager]:
     made.close()
 
 
-def test_agent_tells_its_manager_that_it_is_ready_lives_and_ends(rig: Rig, manager: Manager):
+def test_agent_notifies_its_service_manager(rig: Rig, manager: Manager):
     source = """
 import os
 from pancakes.task import Task
@@ -71,7 +71,7 @@ class Look(Task):
     assert running.ended() == 0
 
 
-def test_agent_that_hangs_no_longer_tells_that_it_lives(rig: Rig, manager: Manager):
+def test_hanging_agent_stops_its_watchdog_messages(rig: Rig, manager: Manager):
     rig.install("stuck", "[pancakes.tasks]\nstuck.Stuck = plugin_stuck:Stuck\n", STUCK)
     running = rig.agent(rig.config("a", f'{INSECURE}[task.Stuck]\ntype = "stuck.Stuck"\n'))
     manager.hear("READY=1")
@@ -81,7 +81,7 @@ def test_agent_that_hangs_no_longer_tells_that_it_lives(rig: Rig, manager: Manag
     assert running.process.poll() is None
 
 
-def test_agent_goes_on_without_its_manager(rig: Rig, manager: Manager):
+def test_agent_survives_its_service_manager(rig: Rig, manager: Manager):
     running = rig.agent(rig.config("a", INSECURE))
     manager.hear("READY=1")
     manager.close()
@@ -90,14 +90,14 @@ def test_agent_goes_on_without_its_manager(rig: Rig, manager: Manager):
     assert running.ended() == 0
 
 
-def test_agent_keeps_its_state_where_the_manager_says(rig: Rig):
+def test_agent_uses_the_state_directory_of_its_manager(rig: Rig):
     own = rig.directory / "own"
     rig.environment["STATE_DIRECTORY"] = str(own)
     rig.agent(rig.config("a", INSECURE)).hear(READY)
     assert list(own.iterdir()) and not (rig.directory / "state").exists()
 
 
-def test_agent_tells_the_journal_the_level_of_each_line(rig: Rig, tmp_path: Path):
+def test_agent_marks_log_levels_for_the_journal(rig: Rig, tmp_path: Path):
     path = tmp_path / "journal"
     path.touch()
     status = os.stat(path)

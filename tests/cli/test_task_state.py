@@ -1,4 +1,4 @@
-"""`pancakes task info --state`: what a task keeps in its state, for people and as JSON."""
+"""`pancakes task info --state`: the state of a task, for people and as JSON."""
 
 from __future__ import annotations
 
@@ -55,14 +55,14 @@ TASKS = "".join(f'[task.{name}]\ntype = "survey.{name}"\n' for name in NAMES)
 
 
 def told(rig: Rig, *arguments: str) -> str:
-    """Returns the table of a task, with one space between words."""
+    """Return the table of a task, with one space between words."""
     result = rig.pancakes("task", "info", *arguments, "--state")
     assert (result.returncode, result.stderr) == (0, "")
     return "\n".join(" ".join(line.split()) for line in result.stdout.splitlines())
 
 
 def test_task_info_shows_the_state_of_a_task(rig: Rig):
-    """It is cut for people, and whole as JSON; why there is none is a sentence in its place."""
+    """The state is truncated for people and complete in JSON; a missing state has a reason."""
     rig.install("survey", ENTRY_POINTS, SOURCE)
     rig.ready("a", TASKS).hear("busy now")
     table = told(rig, "a/Survey")

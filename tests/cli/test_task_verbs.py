@@ -1,4 +1,4 @@
-"""`pancakes task start|stop|restart|rate` and `pancakes service start|stop|restart`, on an agent that runs."""
+"""`pancakes task start|stop|restart|rate` and `pancakes service start|stop|restart`, on a running agent."""
 
 from collections.abc import Iterator
 from contextlib import closing
@@ -39,32 +39,32 @@ TASKS = (
 
 @pytest.fixture(scope="module")
 def shared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Rig, Running]]:
-    """An agent of which each test has a task of its own."""
+    """An agent with a separate task for each test."""
     with closing(Rig(tmp_path_factory.mktemp("shared"))) as rig:
         rig.install("count", ENTRY_POINTS, SOURCE)
         yield rig, rig.ready("a", TASKS)
 
 
 def done(rig: Rig, *arguments: str) -> dict[str, Any]:
-    """Runs a command that prints one row as JSON and succeeds."""
+    """Run a command that must succeed and prints one row as JSON."""
     (row,) = rig.listed(*arguments)
     return row
 
 
 def refused(rig: Rig, *arguments: str) -> str:
-    """Runs a command that is refused, and returns the sentence."""
+    """Run a command that must be refused, and return the sentence."""
     result = rig.pancakes(*arguments)
     assert (result.returncode, result.stdout) == (1, "")
     return result.stderr.rstrip("\n")
 
 
 def listed(rig: Rig, task: str) -> tuple[str, float | None]:
-    """What `task list` says of a task."""
+    """Return the row of a task in `task list`."""
     return next((row["state"], row["rate_hz"]) for row in rig.listed("task", "list", "a") if row["task"] == task)
 
 
 def counted(line: str) -> int:
-    """What a line says that a task has counted."""
+    """Return the count of a task from a log line."""
     return int(line.rpartition("n=")[2])
 
 
@@ -111,7 +111,7 @@ def test_task_rate_changes_a_timer(shared: tuple[Rig, Running]):
     assert "rate_changed" in agent.hear(f" number={row[5]} ")
 
 
-def test_task_and_service_verbs_do_not_mean_each_other(rig: Rig):
+def test_task_and_service_verbs_are_not_confused(rig: Rig):
     rig.install("count", ENTRY_POINTS, SOURCE)
     agent = rig.ready("a", '[task.device]\ntype = "count.Count"\n')
     said = refused(rig, "task", "stop", "a/client")

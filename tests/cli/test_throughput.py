@@ -1,4 +1,4 @@
-"""How often packets come, how evenly, and how large they are."""
+"""The measurement of packet rates, intervals and sizes."""
 
 import pytest
 
@@ -13,7 +13,7 @@ def packet(stamp: float, source: str = "a/device/pose", kind: str = "pose") -> P
     return Packet("system", kind, source, "cli-1", stamp, 1, POSE)
 
 
-def test_throughput_rate_is_that_between_stamps():
+def test_throughput_rate_uses_stamps():
     heard = Throughput(began_s=100.0)
     for at_s, stamp in [(100.0, 1.0), (100.9, 1.1), (101.0, 1.3), (101.1, 1.4)]:
         heard.add(packet(stamp), at_s)
@@ -26,14 +26,14 @@ def test_throughput_rate_is_that_between_stamps():
     assert (row["packets"], row["window"]) == (4, 4)
 
 
-def test_throughput_rate_may_be_that_between_arrivals():
+def test_throughput_rate_can_use_arrivals():
     heard = Throughput(began_s=100.0, arrivals=True)
     for at_s in (100.0, 100.5, 101.0):
         heard.add(packet(0.0), at_s)
     assert heard.rows(102.0)[0]["rate_hz"] == pytest.approx(2.0)
 
 
-def test_throughput_is_of_each_source_and_type():
+def test_throughput_is_per_source_and_type():
     heard = Throughput(began_s=0.0)
     for n in range(3):
         heard.add(packet(n * 0.1, "b/device/pose"), n * 0.1)
@@ -81,7 +81,7 @@ def test_throughput_of_one_packet_or_a_held_mission_has_no_rate():
     assert heard.rows(3.0)[0]["rate_hz"] is None
 
 
-def test_throughput_of_an_agent_started_again_begins_again():
+def test_throughput_restarts_with_the_agent():
     heard = Throughput(began_s=0.0)
     for stamp in (100.0, 100.1, 0.5, 1.0, 1.5):
         heard.add(packet(stamp), stamp)
@@ -92,7 +92,7 @@ def test_throughput_of_an_agent_started_again_begins_again():
     assert row["window"] == 3
 
 
-def test_throughput_report_can_leave_out_who_fell_silent():
+def test_throughput_report_can_omit_silent_sources():
     heard = Throughput(began_s=0.0)
     heard.add(packet(0.0, "a/device/pose"), 0.0)
     heard.add(packet(0.0, "b/device/pose"), 0.0)
@@ -104,5 +104,5 @@ def test_throughput_report_can_leave_out_who_fell_silent():
     assert len(heard.rows(3.0)) == 2
 
 
-def test_throughput_size_does_not_depend_on_who_follows():
+def test_throughput_size_does_not_depend_on_the_follower():
     assert size_of(packet(1.0)) == size_of(Packet("system", "pose", "a/device/pose", "cli-12345-abc", 1.0, 1, POSE))

@@ -60,7 +60,7 @@ def drawn(*agents: dict[str, Any], sort: str = "name", height: int | None = None
     return [line.rstrip() for line in captured.get().splitlines()]
 
 
-def test_top_once_tells_rates_that_are_reached(rig: Rig, agent: Running):
+def test_top_once_shows_achieved_rates(rig: Rig, agent: Running):
     rig.ready("b")
     result = rig.pancakes("top", "--once", "--format", "json", "a")
 
@@ -84,7 +84,7 @@ def test_top_once_tells_rates_that_are_reached(rig: Rig, agent: Running):
     assert not any(line[0].startswith("b") for line in lines)
 
 
-def test_top_goes_on_and_sees_who_comes_and_goes(rig: Rig, agent: Running, start: Callable[..., LiveOutput]):
+def test_top_follows_agents_that_come_and_go(rig: Rig, agent: Running, start: Callable[..., LiveOutput]):
     top = start("top", "--every", "200ms", "--format", "json")
     assert top.record('"agent":"a"')["state"] == "ready"
     other = rig.ready("b")

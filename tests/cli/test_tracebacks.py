@@ -1,4 +1,4 @@
-"""A failure at the terminal: one line with the author's own, and the whole traceback for who asks for it."""
+"""A failure at the terminal: one line that names the author's code, and the whole traceback on request."""
 
 import json
 import signal
@@ -38,7 +38,7 @@ def fails(rig: Rig) -> None:
     rig.install("fails", "[pancakes.tasks]\nfails.Blink = plugin_fails:Blink\n", FAILS)
 
 
-def test_traceback_of_an_agent_is_shown_if_asked_for(rig: Rig, fails: None):
+def test_agent_traceback_is_shown_on_request(rig: Rig, fails: None):
     agent = rig.agent(rig.config("a", ONCE), "--traceback")
     agent.hear(SAID)
     assert agent.hear("Traceback") == ROW
@@ -51,8 +51,8 @@ def test_traceback_of_an_agent_is_shown_if_asked_for(rig: Rig, fails: None):
     assert launcher.hear("Traceback").endswith(ROW), "a launcher hands that on to its agents"
 
 
-def test_traceback_of_a_failure_can_be_asked_for_later(rig: Rig, fails: None):
-    """A terminal shows a failure in one line at first."""
+def test_traceback_can_be_requested_later(rig: Rig, fails: None):
+    """At first the terminal shows a failure in one line."""
     agent = rig.agent(rig.config("a", ONCE))
     agent.hear(SAID)
     rig.entry(agent.pid)

@@ -1,4 +1,4 @@
-"""A backup that was restored, or a revival too soon, makes two owners of one task: how people see it, and decide."""
+"""Two owners of one task, after a restored backup or an early revival: what users see, and how they decide."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ TASK = '[task.Count]\ntype = "count.Count"\n'
 
 
 def heard(agent: Running, text: str) -> str:
-    """Returns the line that contains a text, said already or soon."""
+    """Return the line that contains a text, printed already or soon."""
     return next((line for line in agent.said if text in line), "") or agent.hear(text)
 
 
 def two(rig: Rig) -> tuple[Running, Running, str]:
-    """Returns an agent that owns the task, its neighbour, and what the file of the first says of the second."""
+    """Return an agent that owns the task, its neighbour, and the first one's configuration about the second."""
     rig.install("count", "[pancakes.tasks]\ncount.Count = plugin_count:Count\n", SOURCE)
     b = rig.ready("b")
     peers = f'peers = ["{rig.address(b)}"]'
@@ -37,7 +37,7 @@ def two(rig: Rig) -> tuple[Running, Running, str]:
     return a, b, peers
 
 
-def test_task_resolve_says_which_of_two_owners_lives(rig: Rig):
+def test_task_resolve_keeps_one_of_two_owners(rig: Rig):
     a, _, peers = two(rig)
     backup = rig.directory / "backup"
     state = next(path for path in (rig.directory / "state").rglob("a") if path.is_dir())
@@ -72,7 +72,7 @@ def test_task_resolve_says_which_of_two_owners_lives(rig: Rig):
     assert rig.pancakes("task", "migrate", "a/Count", "--to", "b").returncode == 0
 
 
-def test_task_revive_takes_a_configuration(rig: Rig):
+def test_task_revive_accepts_a_configuration(rig: Rig):
     a, b, peers = two(rig)
     asked = ("task", "revive", "b/Count", "--config", str(rig.directory / "a.toml"))
     runs = rig.pancakes(*asked, "--force")

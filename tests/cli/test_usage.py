@@ -1,4 +1,4 @@
-"""Arguments of all verbs: help with an example, usage faults, and what a verb does where no agent runs."""
+"""Arguments of all verbs: help with an example, usage errors, and verbs without a running agent."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from pancakes.tools.cli.main import COMMANDS, pancakes
 from pancakes.tools.cli.options import Duration
 
 BODY = '{"voltage_v": 7.4, "level": 0.75}'
-# With a part of the sentence if that is the verb's own.
+# After the `#`: a part of the message, if it is the verb's own.
 FAULTS = """
 agent list --at 127.0.0.1
 agent list --timeout 0
@@ -114,7 +114,7 @@ top --once
 
 
 def verbs(group: click.Group, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], click.Command]]:
-    """All verbs that a group has, each with its words."""
+    """Yield all verbs of a group, each with its words."""
     context = click.Context(group)
     for name in COMMANDS if group is pancakes else group.list_commands(context):
         command = group.get_command(context, name)
@@ -134,8 +134,8 @@ def test_help_of_every_verb_has_an_example():
     assert without == []
 
 
-def test_dry_run_is_an_option_of_every_verb_that_changes_something():
-    """Those that only read, and those that need no dry run, are listed by name."""
+def test_every_verb_that_changes_something_has_dry_run():
+    """Verbs that only read, and verbs that need no dry run, are listed by name."""
     harmless = {
         *("agent info", "agent list", "agent unit"),
         *("log", "rerun", "why", "view", "report", "top", "what-if", "demo", "config", "plugin", "doctor"),
@@ -153,7 +153,7 @@ def test_dry_run_is_an_option_of_every_verb_that_changes_something():
     assert [it for it in without if it not in harmless and it.split()[0] not in harmless] == []
 
 
-def test_format_is_an_option_of_every_verb():
+def test_every_verb_has_format():
     without = [
         " ".join(words)
         for words, command in verbs(pancakes)
@@ -162,7 +162,7 @@ def test_format_is_an_option_of_every_verb():
     assert without == []
 
 
-def test_each_option_that_takes_seconds_takes_a_unit_as_well():
+def test_options_for_times_accept_units():
     others = {
         f"{' '.join(words)} {parameter.opts[0]}"
         for words, command in verbs(pancakes)
@@ -176,12 +176,12 @@ def test_each_option_that_takes_seconds_takes_a_unit_as_well():
 @pytest.mark.parametrize(
     ("text", "seconds"), [("2", 2.0), ("2s", 2.0), ("500ms", 0.5), (".5", 0.5), ("5min", 300.0), ("1h", 3600.0)]
 )
-def test_a_time_is_written_with_its_unit_or_in_seconds(text, seconds):
+def test_times_are_parsed_with_or_without_unit(text, seconds):
     assert Duration(most_s=3600.0).convert(text, None, None) == seconds
 
 
-def test_usage_faults_are_exit_code_2():
-    """Nothing is reached before: no agent runs here, which would be the exit code 3."""
+def test_usage_errors_exit_with_2():
+    """They are found before an agent is contacted: no agent runs here, which would exit with 3."""
     found = {}
     for line in FAULTS:
         words, _, part = line.partition("  # ")
@@ -192,7 +192,7 @@ def test_usage_faults_are_exit_code_2():
     assert found == {}
 
 
-def test_usage_of_pub_body_that_does_not_fit_is_never_sent():
+def test_unfit_pub_body_is_not_sent():
     done = {words: invoked("channel", "pub", "a/pond", *words) for words in PUBLISHED}
     assert {
         words: result.output
@@ -201,13 +201,13 @@ def test_usage_of_pub_body_that_does_not_fit_is_never_sent():
     } == {}
 
 
-def test_usage_mistyped_verb_is_guessed(rig: Rig):
+def test_mistyped_verb_gets_a_suggestion(rig: Rig):
     result = rig.pancakes("tsk", "list")
     assert result.returncode == 2 and result.stdout == ""
     assert "Did you mean 'task'?\n" in result.stderr
 
 
-def test_no_agent_that_runs_is_exit_code_3(tmp_path, monkeypatch: pytest.MonkeyPatch):
+def test_verbs_without_agents_exit_with_3(tmp_path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setenv("PANCAKES_RUNTIME_DIR", str(tmp_path / "runtime"))
     done = {line: invoked(*line.split()) for line in ASK_AGENTS}
     begin = f"no agent runs on this machine ({tmp_path}/runtime names none)"

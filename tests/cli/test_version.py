@@ -1,4 +1,4 @@
-"""What `--version` says: the version, and the commit where it is no release."""
+"""The output of `--version`: the version, and the commit if it is not a release."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from pancakes.tools.cli.version import version_text
 
 @pytest.fixture
 def package(tmp_path: Path) -> Path:
-    """The folder of a package in a clone that has one commit."""
+    """Return the folder of a package in a clone with one commit."""
     package = tmp_path / "pancakes"
     package.mkdir()
     (package / "task.py").touch()
@@ -45,7 +45,7 @@ def test_version_of_a_wheel_names_its_commit(tmp_path: Path):
     assert version_text(tmp_path) == f"{__version__}, not released: commit 0123456789ab"
 
 
-def test_version_is_an_option_of_both_commands(rig: Rig):
+def test_both_commands_have_version(rig: Rig):
     assert rig.pancakes("--version").stdout == f"pancakes, version {version_text()}\n"
     done = rig.run("-m", "pancakes.tools.cli.agent_command", "--version", whole=True)
     assert done.everything() == f"pancakes-agent, version {version_text()}" and done.ended() == 0

@@ -1,4 +1,4 @@
-"""What agents, plug-ins and strangers say reaches no terminal and no log raw: its control characters are escaped."""
+"""Control characters in texts of agents, plug-ins and strangers are escaped on terminals and in logs."""
 
 from __future__ import annotations
 
@@ -116,7 +116,7 @@ def test_control_characters_of_a_task_are_shown_escaped(rig: Rig, agent: Running
 
 
 def answered(port: int, name: str, fleet: str, role: str = "client", listen: str = "") -> str:
-    """Says hello as a stranger, and returns the reason why the agent refuses the link; empty where it does not."""
+    """Send a hello as a stranger; return the reason why the agent refuses the link, or empty if it does not."""
     hello = [HELLO_NUMBER, VERSION, fleet, name, role, "a journal", 0, [listen] if listen else []]
     with socket.create_connection(("127.0.0.1", port), PATIENCE_S) as link:
         link.sendall(frame([msgspec.msgpack.encode(hello)]))
@@ -152,10 +152,10 @@ def test_control_characters_of_a_stranger_are_refused(rig: Rig) -> None:
         ("b", "test", "agent", "tcp://\x1b]0;owned\x07:1"),
     ):
         reason = answered(rig.port(agent), name, fleet, role, listen)
-        wrong = "is no address" if listen else "is no name: a name has letters from a to z"
+        wrong = "is no address" if listen else "is not a name: a name has letters from a to z"
         assert reason.startswith("protocol: ") and wrong in reason and not RAW.search(reason), name
     assert answered(rig.port(agent), "b.c-d_1", "test") == "", "a terminal may have a dot in its name"
-    assert not RAW.search(agent.hear("is no name"))
+    assert not RAW.search(agent.hear("is not a name"))
     listed = rig.pancakes("agent", "list")
     assert not RAW.search(listed.stdout + listed.stderr) and "owned" not in listed.stdout
     assert not RAW.search("\n".join(agent.so_far()))

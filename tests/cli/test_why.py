@@ -1,4 +1,4 @@
-"""`pancakes why ...` on a recording of two agents, one of which has seen a pose that the other one sent."""
+"""`pancakes why ...` on a recording of two agents, one of which received a pose from the other."""
 
 import json
 
@@ -16,7 +16,7 @@ COMMANDS = 20
 
 
 def reactions(agent):
-    """What `agent` records of a pose that takes 4 ms from `world` to `a`, where a task answers it ever more slowly."""
+    """Return the records of `agent`: poses take 4 ms from `world` to `a`, where a task answers ever more slowly."""
     for n in range(1, COMMANDS + 1):
         t_ms = 100 * n
         fence = Fence("a/Scan", (0, "a"))
@@ -66,7 +66,7 @@ def found(why):
     return lambda *options: json.loads(why(*options, "--format", "json").stdout)
 
 
-def test_why_shows_kinds_of_chains_with_their_times(why, found):
+def test_why_shows_kinds_of_chains_with_latencies(why, found):
     assert found() == {
         "commands": 21,
         "uncaused": 1,
@@ -88,7 +88,7 @@ def test_why_shows_kinds_of_chains_with_their_times(why, found):
     assert "world/client/Mocap pose → a/device/pose pose → a/client/Scan motors" in shown
 
 
-def test_why_at_a_moment_tells_the_command_in_force(found):
+def test_why_at_a_time_shows_the_command_in_force(found):
     (it,) = found("--at", "720ms")
     assert (it["mission_s"], it["agent"], it["type"], it["source"], it["seq"]) == (
         0.712, "a", "motors", "a/client/Scan", 7,
@@ -119,21 +119,21 @@ def test_why_shows_a_chain_as_a_table(why):
     assert "it answers no recorded packet" in why("--type", "gripper", "--seq", "1").stdout
 
 
-def test_why_lists_commands_each_in_a_line(why, found):
+def test_why_lists_commands(why, found):
     assert [row["seq"] for row in found("--list", "--agent", "a", "--type", "motors")] == list(range(1, 21))
     lines = why("--list").stdout.splitlines()
     assert lines[0] == "    0.106 s  a motors  from a/client/Scan #1      6.000 ms after world/client/Mocap pose"
     assert lines[-1] == "    2.500 s  a gripper  from a/client/Grip #1  answers no packet"
 
 
-def test_why_of_what_is_not_there_is_a_sentence(why, tmp_path):
+def test_why_without_matching_commands_is_an_error(why, tmp_path):
     for options, code, sentence in (
         (("--agent", "b"), 1, "has no such command. It has commands to a gripper, a motors of a/Scan"),
         (("--task", "a/Other"), 1, "has no such command"),
         (("--at", "10ms"), 1, "the recording has no such command before 0.01 s of mission time"),
         (("--seq", "99"), 1, "the recording has no such command with the number 99"),
         (("--type", "gripper", "--slowest", "1"), 1, "no such command that answers a recorded packet"),
-        (("--at", "1s", "--list"), 2, "ask one of them"),
+        (("--at", "1s", "--list"), 2, "use only one of them"),
         (("--at", "soon"), 2, "is not a time"),
     ):
         assert sentence in " ".join(why(*options, code=code).output.split())
@@ -149,7 +149,7 @@ def test_why_begins_a_chain_where_the_packet_arrived(recording):
     assert "no agent recorded when the packet left" in shown
 
 
-def test_why_knows_mission_time_of_an_agent_started_again(recording, found):
+def test_why_uses_mission_time_across_restarts(recording, found):
     writer = RecordingWriter(recording / "a.002.mcap", {"agent": "a", "clock": "time of day", "speed": "1.0"})
     again = Packet("ctrl", "motors", "a/client/Scan", "", 0.25, 1, Twist(0.0, 0.0))
     writer.write(RecordedPacket(5000 * MS, "a", again))
