@@ -1,4 +1,4 @@
-"""`scripts/lib/lints.py` finds each fault that it is there for, and nothing else."""
+"""`scripts/lib/lints.py` finds the faults that it looks for, and nothing else."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`scripts/mutants` finds the tests that may notice a mutant, and whether one does."""
+"""`scripts/mutants` finds the tests that may notice a mutant, and judges whether one does."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def mutants() -> ModuleType:
 
 @pytest.fixture
 def tree(mutants, tmp_path):
-    """Makes a copy of a small project, whose tests may take so much longer than they should."""
+    """Make a copy of a small project, with a time limit for its tests."""
     project = tmp_path / "project"
     for name, text in {FILE: TEXT, "area/__init__.py": "", "test_sums.py": TESTS, "setup.cfg": ""}.items():
         (project / name).parent.mkdir(parents=True, exist_ok=True)
@@ -74,7 +74,7 @@ def trace_of(mutants, test: str, seconds: float, *lines: int):
     return mutants.Trace(test, seconds, {FILE: set(lines)} if lines else {})
 
 
-def test_a_mutant_that_a_test_notices_is_killed_and_any_other_survives(mutants, tree):
+def test_mutant_is_killed_by_a_failing_test(mutants, tree):
     tests = [trace_of(mutants, "test_sums.py::test_doubles", 0.0, 5)]
     copy = tree()
     assert copy.verdict(mutant_of(mutants, 7, "* 2", "* 3"), tests) == mutants.KILLED
@@ -82,13 +82,13 @@ def test_a_mutant_that_a_test_notices_is_killed_and_any_other_survives(mutants, 
     assert (copy.root / FILE).read_text() == TEXT
 
 
-def test_a_mutant_that_never_ends_is_killed(mutants, tree):
+def test_endless_mutant_is_killed(mutants, tree):
     tests = [trace_of(mutants, "test_sums.py::test_counts", 0.0, 12)]
     endless = mutant_of(mutants, 14, "found += 1", "found -= 1")
     assert tree(patience_s=5.0).verdict(endless, tests) == mutants.TOO_LONG
 
 
-def test_a_trace_names_the_lines_that_each_test_runs(mutants, tree):
+def test_trace_has_the_lines_of_each_test(mutants, tree):
     pytest.importorskip("coverage")
     traces, failed = tree().trace("test_sums.py", [FILE])
     lines = {trace.test: trace.lines[FILE] for trace in traces}
@@ -97,35 +97,35 @@ def test_a_trace_names_the_lines_that_each_test_runs(mutants, tree):
     assert {12, 13, 14, 15} <= lines["test_sums.py::test_counts"]
 
 
-def test_the_tests_that_run_the_statement_of_a_mutant_come_quickest_first(mutants):
+def test_tests_of_a_mutant_come_quickest_first(mutants):
     slow, quick = trace_of(mutants, "slow", 2.0, 5, 6), trace_of(mutants, "quick", 1.0, 5)
     other = trace_of(mutants, "other", 0.0, 12)
     assert mutants.tests_for(mutant_of(mutants, 7, "* 2", "* 3"), [slow, quick, other]) == [quick, slow]
 
 
-def test_a_line_of_the_module_itself_belongs_to_all_tests_of_that_module(mutants):
+def test_module_line_belongs_to_all_tests_of_the_module(mutants):
     one, two, none = trace_of(mutants, "one", 2.0, 5), trace_of(mutants, "two", 1.0, 12), trace_of(mutants, "none", 0.0)
     assert mutants.tests_for(mutant_of(mutants, 1, "= 3", "= 4"), [one, two, none]) == [two, one]
 
 
-def test_a_line_that_the_first_test_runs_as_it_imports_the_module_belongs_to_all_of_them(mutants):
+def test_line_run_at_import_belongs_to_all_tests(mutants):
     first, second = trace_of(mutants, "first", 2.0, 1, 5), trace_of(mutants, "second", 1.0, 12)
     assert mutants.tests_for(mutant_of(mutants, 1, "= 3", "= 4"), [first, second]) == [second, first]
 
 
-def test_a_line_of_the_module_belongs_to_a_test_whose_file_names_the_module(mutants):
+def test_module_line_belongs_to_tests_that_name_the_module(mutants):
     assert mutants.names_module("tests/kernel/test_mailbox.py::test", "pancakes/kernel/pykka_actor.py")
     assert not mutants.names_module("tests/kernel/test_mailbox.py::test", "pancakes/kernel/timer.py")
     assert not mutants.names_module("no_such_file.py::test", "pancakes/kernel/pykka_actor.py")
 
 
-def test_a_mutant_is_known_as_equal_by_its_lines_wherever_they_stand(mutants):
+def test_equal_mutant_is_recognised_by_its_lines(mutants):
     equal = mutants.Equal(FILE, "found = 0", "found = 0.0", "they are equal numbers")
     assert equal.is_of(mutant_of(mutants, 12, "found = 0", "found = 0.0"))
     assert not equal.is_of(mutant_of(mutants, 12, "found = 0", "found = 1"))
 
 
-def test_what_mypy_reads_is_no_place_for_a_mutant(mutants):
+def test_annotations_are_not_mutated(mutants):
     assert mutants.left_to_mypy("def f(x: int | None) -> bool: ...") == [((1, 24), (1, 28)), ((1, 9), (1, 19))]
     assert mutants.left_to_mypy(TEXT)[0] == ((1, 7), (1, 17))
     assert mutants.left_to_mypy("class A(Struct, frozen=True): ...") == [((1, 23), (1, 27))]

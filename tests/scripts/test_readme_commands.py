@@ -1,4 +1,4 @@
-"""`scripts/readme` runs what the README tells its readers to type."""
+"""`scripts/readme` runs the commands of the README."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 
 LIMIT_S = 2.0
-"""The limit of one statement where a test waits for it to pass; bash must start in less on any machine."""
+"""The time limit of one statement in tests that wait for it to pass; bash must start faster on any machine."""
 
 TEXT = """\
 A command, and what it prints:
@@ -47,7 +47,7 @@ print("blink")
 
 @pytest.fixture(scope="module")
 def readme() -> ModuleType:
-    """The script's module; it is no part of any package."""
+    """The script's module, which is not in a package."""
     library = ROOT / "scripts" / "lib"
     sys.path.insert(0, str(library))
     try:
@@ -61,14 +61,14 @@ def readme() -> ModuleType:
         sys.path.remove(str(library))
 
 
-def test_blocks_have_their_info_string_and_the_line_they_begin_at(readme):
+def test_blocks_have_info_string_and_line(readme):
     found = [(block.info, block.line) for block in readme.blocks(TEXT)]
     assert found == [("sh", 4), ("console", 17), ("python tasks/blink.py", 21), ("sh", 25)]
     assert readme.blocks(TEXT)[2].text == 'print("blink")\n'
     assert readme.blocks(TEXT)[3].text == "false\n"
 
 
-def test_a_statement_keeps_all_of_its_lines(readme):
+def test_statement_keeps_all_of_its_lines(readme):
     first = readme.blocks(TEXT)[0]
     assert [(it.line, it.text) for it in readme.statements(first)] == [
         (5, "echo one \\\n  two"),
@@ -78,20 +78,20 @@ def test_a_statement_keeps_all_of_its_lines(readme):
 
 
 def run(readme, tmp_path, *commands, limit_s=20.0):
-    """Runs commands as those of a README; returns what failed."""
+    """Run commands like those of a README; return the failures."""
     for name in ("copy", "home", "run"):
         (tmp_path / name).mkdir()
     statements = [readme.Statement(number, text) for number, text in enumerate(commands, 1)]
     return readme.run(statements, "README.md", tmp_path / "copy", tmp_path, limit_s)
 
 
-def test_commands_run_in_one_shell_in_the_copy_and_all_failures_are_named(readme, tmp_path):
+def test_commands_run_in_one_shell_and_failures_are_named(readme, tmp_path):
     failures = run(readme, tmp_path, "word=yes", "ls nothing", "echo $word > answer", "exit 3", "true")
     assert failures == ["README.md:2: ended with 2: ls nothing", "README.md:4: ended the shell: exit 3"]
     assert (tmp_path / "copy" / "answer").read_text() == "yes\n"
 
 
-def test_a_command_that_takes_too_long_is_ended_with_all_it_started(readme, tmp_path):
+def test_slow_command_is_ended_with_its_children(readme, tmp_path):
     failures = run(readme, tmp_path, "sleep 1001 &", "echo $! > pid", "sleep 1000", limit_s=LIMIT_S)
     assert failures == [f"README.md:3: took longer than {LIMIT_S:g} s: sleep 1000"]
     pid = (tmp_path / "copy" / "pid").read_text().strip()
@@ -128,7 +128,7 @@ late
         ("lamp . s", "lamp . s"),
     ],
 )
-def test_what_a_block_prints_is_compared_line_by_line_in_order(readme, tmp_path, expected, lacking):
+def test_output_is_compared_line_by_line(readme, tmp_path, expected, lacking):
     text = PRINTS.replace("lamp green ... s\nlate", expected)
     for name in ("copy", "home", "run"):
         (tmp_path / name).mkdir()
@@ -154,7 +154,7 @@ wait
 """
 
 
-def test_a_background_block_goes_on_and_its_output_is_waited_for(readme, tmp_path):
+def test_background_block_runs_on_after_its_output(readme, tmp_path):
     for name in ("copy", "home", "run"):
         (tmp_path / name).mkdir()
     subprocess.run(["mkfifo", str(tmp_path / "copy" / "pipe")], check=True)
@@ -163,7 +163,7 @@ def test_a_background_block_goes_on_and_its_output_is_waited_for(readme, tmp_pat
     assert (tmp_path / "background-0.log").read_text() == "begun\nended\n"
 
 
-def test_the_readme_of_the_project_can_be_read(readme):
+def test_readme_of_the_project_can_be_parsed(readme):
     for block in readme.blocks((ROOT / "README.md").read_text()):
         if block.info == "sh":
             assert all(readme.is_whole(statement.text) for statement in readme.statements(block))

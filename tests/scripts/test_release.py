@@ -1,4 +1,4 @@
-"""What is released is looked at before: each fault of a wheel or a source distribution is named."""
+"""The checks of a release name each fault of a wheel or a source distribution."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ SOUND = {"pancakes/__init__.py": "", "pancakes/task.py": "", "pancakes_agents-1.
 
 
 def wheel(folder: Path, files: dict[str, str], name: str = "pancakes-agents", version: str = "1.0") -> Path:
-    """Writes a wheel."""
+    """Write a wheel."""
     stem = f"{name.replace('-', '_')}-{version}"
     path = folder / f"{stem}-py3-none-any.whl"
     metadata = METADATA.format(name=name, version=version)
@@ -28,7 +28,7 @@ def wheel(folder: Path, files: dict[str, str], name: str = "pancakes-agents", ve
 
 
 def sdist(folder: Path, names: tuple[str, ...] = ("LICENSE", "README.md", "setup.cfg", "PKG-INFO")) -> Path:
-    """Writes a source distribution."""
+    """Write a source distribution."""
     path = folder / "pancakes_agents-1.0.tar.gz"
     with tarfile.open(path, "w:gz") as archive:
         for name in names:
@@ -37,7 +37,7 @@ def sdist(folder: Path, names: tuple[str, ...] = ("LICENSE", "README.md", "setup
 
 
 def faults(wheels: list[Path], sdists: list[Path]) -> list[str]:
-    """Returns what is found."""
+    """Return the faults that are found."""
     spec = importlib.util.spec_from_file_location("release_checks", ROOT / "scripts" / "lib" / "release_checks.py")
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
@@ -46,7 +46,7 @@ def faults(wheels: list[Path], sdists: list[Path]) -> list[str]:
     return found
 
 
-def test_a_sound_release_has_no_fault(tmp_path: Path):
+def test_valid_release_has_no_fault(tmp_path: Path):
     assert faults([wheel(tmp_path, SOUND)], [sdist(tmp_path)]) == []
 
 
@@ -59,13 +59,13 @@ def test_a_sound_release_has_no_fault(tmp_path: Path):
         ("", "pancakes/__pycache__/task.pyc", "it has pancakes/__pycache__/task.pyc, which belongs to no package"),
     ],
 )
-def test_what_a_wheel_lacks_or_has_too_much_is_named(tmp_path: Path, left_out: str, added: str, fault: str):
+def test_missing_and_extra_files_of_a_wheel_are_named(tmp_path: Path, left_out: str, added: str, fault: str):
     files = {name: text for name, text in SOUND.items() if name != left_out} | ({added: ""} if added else {})
     (found,) = faults([wheel(tmp_path, files)], [sdist(tmp_path)])
     assert found.endswith(fault)
 
 
-def test_a_plug_in_has_the_version_of_the_project_and_requires_it(tmp_path: Path):
+def test_plugin_has_the_projects_version_and_requires_it(tmp_path: Path):
     plugin = {"pancakes/more.py": "", "pancakes_field-1.1.dist-info/LICENSE": "MIT"}
     wheels = [wheel(tmp_path, SOUND), wheel(tmp_path, plugin, "pancakes-field", "1.1")]
     assert faults(wheels, [sdist(tmp_path)]) == [
@@ -75,6 +75,6 @@ def test_a_plug_in_has_the_version_of_the_project_and_requires_it(tmp_path: Path
     ]
 
 
-def test_what_a_source_distribution_lacks_is_named(tmp_path: Path):
+def test_missing_files_of_a_source_distribution_are_named(tmp_path: Path):
     found = faults([wheel(tmp_path, SOUND)], [sdist(tmp_path, ("README.md", "setup.cfg", "PKG-INFO"))])
     assert found == ["pancakes_agents-1.0.tar.gz: it has no LICENSE"]

@@ -1,4 +1,4 @@
-"""What the smoke tests of the programs in `trials/` need."""
+"""Fixtures for the smoke tests of the programs in `trials/`."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ ENVIRONMENT = {**os.environ, "PYTHONPATH": os.pathsep.join(PYTHON_PATH)}
 
 @pytest.fixture
 def program() -> Callable[..., subprocess.CompletedProcess[str]]:
-    """Runs a program of `trials/` as its script does, and returns how it ended."""
+    """Run a program of `trials/` as its script does, and return how it ended."""
 
     def run(*command: str | Path) -> subprocess.CompletedProcess[str]:
         arguments = [sys.executable, "-m", *map(str, command)]
@@ -28,7 +28,7 @@ def program() -> Callable[..., subprocess.CompletedProcess[str]]:
 
 @pytest.fixture
 def begun() -> Iterator[Callable[[str], subprocess.Popen[str]]]:
-    """Starts Python code that may import the programs; what still runs at the end is killed."""
+    """Start Python code that may import the programs; processes that still run at the end are killed."""
     started: list[subprocess.Popen[str]] = []
 
     def start(code: str, *arguments: str | Path) -> subprocess.Popen[str]:

@@ -1,4 +1,4 @@
-"""`scripts/bench`: what it makes of its measurements, and what it keeps if it is ended or a topic fails."""
+"""`scripts/bench`: how it summarizes measurements, and which it saves if it is interrupted or a topic fails."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from click.testing import CliRunner, Result
 
 
 def test_bench_keeps_what_it_has_measured(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """A topic that fails is told, and the others are measured; an interrupted run has all until then."""
+    """A failed topic is reported, and the others are measured; an interrupted run has all figures until then."""
     file = tmp_path / "figures.json"
     errors: list[BaseException] = []
 
@@ -86,7 +86,7 @@ def record(name: str, runs: list[float], bare_runs: list[float] | None = None, s
 
 
 def test_compare_names_what_became_slower() -> None:
-    """By more than the noise, in the value and in the ratio; what is new, missing or faster is none of it."""
+    """By more than the noise, in the value and in the ratio; new, missing or faster figures are not listed."""
     quiet_runs, bare = [10.0, 10.2, 10.1, 10.3, 9.9], [5.0] * 5
     slow_runs = [13.0, 13.2, 13.1, 13.3, 12.9]
     old = [record(name, quiet_runs, bare) for name in ("worse", "noisy", "faster", "bare")]
@@ -123,7 +123,7 @@ def test_compare_ends_with_what_became_slower(monkeypatch: pytest.MonkeyPatch, t
 
 
 def test_short_form_fails_for_a_slow_step(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """A step that seems slow is measured again before it fails; one that the file does not know fails as well."""
+    """A step that seems slow is measured again before it fails; a step that the file lacks fails as well."""
     file = tmp_path / "cpu.json"
     took = iter([10.0] * 5 + [18.0] * 7 + [10.0] + [18.0] * 15)
     step = short.Step("a step", "ns", lambda: next(took), lambda: 5.0)
@@ -143,7 +143,7 @@ def test_short_form_fails_for_a_slow_step(monkeypatch: pytest.MonkeyPatch, tmp_p
 
 
 def test_short_form_measures_each_step_of_its_file() -> None:
-    """All are there, each more than nothing, and their figures are those of the file in the tree by order."""
+    """All are measured, none is zero, and their order of magnitude is that of the file in the tree."""
     steps = {step.name: step for step in short.steps()}
     assert set(steps) == set(short.known())
     for name in ("a tick", "a task's memory", "modules of ours at the start"):
@@ -170,7 +170,7 @@ def test_profile_sums_up_what_pancakes_does() -> None:
 
 
 def test_profile_is_of_one_topic(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """It runs the topic with the same options, says where its file is, and measures nothing itself."""
+    """It runs the topic with the same options, prints the path of its file, and measures nothing itself."""
     asked: list[tuple[str, list[str]]] = []
 
     def taken(topic: str, command: list[str]) -> Path:
@@ -214,7 +214,7 @@ def test_bench_compares_observers_in_quiet_rounds() -> None:
 
 
 def test_bench_takes_what_is_lost_for_an_error(tmp_path: Path) -> None:
-    """Packets of a crowd and of a peer; ticks that never came are late. A peer that is missing is named."""
+    """Packets of a crowd and of a peer; missed ticks count as late. A missing peer is named."""
     assert sorted(lateness.all_there([0.1, 0.2], tasks=2, rate_hz=1.0, duration_s=3.0)) == [0.1, 0.2, 3.0, 3.0]
     shape = crowd.Shape("few", range(3), range(3), False, 600)
     reports = crowd.pancakes(shape, 600)

@@ -1,4 +1,4 @@
-"""`scripts/bench --quick`, by its real command, and a short run of the topics that need most."""
+"""`scripts/bench --quick`, by its real command, and a short run of the most expensive topics."""
 
 from __future__ import annotations
 

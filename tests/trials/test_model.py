@@ -63,7 +63,7 @@ def test_model_command_fails_unless_all_is_shown(monkeypatch: pytest.MonkeyPatch
 
 
 def test_model_search_does_not_believe_itself(monkeypatch: pytest.MonkeyPatch) -> None:
-    """It says if it gave up, if a scenario missed its aim, and if the text that a mutant changes is gone."""
+    """It reports if it gave up, if a scenario missed its aim, and if the text that a mutant changes is gone."""
     assert not Search(Bounds(), most_states=1000).run().complete
     assert not GuardedSearch(GUARDED["a taker, and crashes"], most_states=200).run().complete
     monkeypatch.setitem(GUARDED, "vain", Scenario("vain", takers="B", called=0, crashes=""))

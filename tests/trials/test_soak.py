@@ -1,4 +1,4 @@
-"""`scripts/soak`: its verdict on series that are made up, and a short run in virtual time."""
+"""`scripts/soak`: its judgement of made-up series, and a short run in virtual time."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def test_soak_in_virtual_time_passes(program: Any, tmp_path: Path) -> None:
 
 
 def test_soak_exit_code_tells_of_faults(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """What it could not do is refused at once: options that do nothing, a file that cannot be written."""
+    """Options without effect, and a file that cannot be written, are refused at once."""
 
     def run(*options: str) -> int:
         return CliRunner().invoke(command.soak, list(options)).exit_code
@@ -52,7 +52,7 @@ def test_soak_names_agents_that_end_by_themselves(tmp_path: Path) -> None:
 
 
 def series(length_s: float, mib_per_h: float = 0.0, noise_mib: float = 0.0) -> list[Sample]:
-    """Memory over time, looked at every five seconds."""
+    """Return samples of memory over time, one every five seconds."""
     draw = random.Random(1)
     return [
         Sample(time_s, vitals(int(1024 * (25 + mib_per_h * time_s / HOUR_S + draw.uniform(-noise_mib, noise_mib)))))
@@ -65,7 +65,7 @@ def vitals(rss_kib: int = 25_000, threads: int = 7, sockets: int = 6, files: int
 
 
 def test_soak_judges_the_growth_of_memory() -> None:
-    """In an hour the slope, in minutes the growth, as no slope can be told from noise; outliers do not count."""
+    """Over an hour by the slope; over minutes by the growth, as noise hides the slope. Outliers do not count."""
     points = [(sample.time_s, sample.vitals.rss_kib / 1024) for sample in series(HOUR_S, 2.0, noise_mib=3.0)]
     assert trend(points).per_hour == pytest.approx(2.0, abs=0.5)
     outliers = {0: 1.0, 3: 1.0, 598: 90.0, 599: 90.0}
@@ -84,7 +84,7 @@ def test_soak_judges_the_growth_of_memory() -> None:
 
 
 def test_soak_judges_what_is_held_at_rest() -> None:
-    """Pieces of memory, threads, sockets, files; of several looks the least counts."""
+    """By memory blocks, threads, sockets and files; the least of several samples counts."""
     before = Sample(0.0, vitals(), workers=1, state_files=6, pieces=150_000)
     assert lost_pieces("a", before, Sample(9.0, vitals(), pieces=150_000 + MORE_PIECES)) == ""
     assert lost_pieces("a", before, Sample(9.0, vitals(), pieces=157_000))

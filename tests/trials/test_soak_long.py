@@ -1,4 +1,4 @@
-"""`scripts/soak` for as long as a test may take: it finds a leak, and nothing that is not there."""
+"""`scripts/soak` for as long as a test may take: it finds a leak, and reports nothing else."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def silent(text: str) -> None:
 
 
 def test_soak_finds_a_leak_and_nothing_else(program: Any, tmp_path: Path) -> None:
-    """By the real command. Agents are killed and come back, tasks start, stop and move meanwhile."""
+    """By the real command. Agents are killed and come back; tasks start, stop and migrate."""
     path = tmp_path / "figures.json"
     ended = program("soak", "--minutes", "0.4", "--agents", "3", "--leak", "2000000", "--json", path)
     assert ended.returncode == 1, ended.stdout + ended.stderr
@@ -49,7 +49,7 @@ def test_soak_agent_that_was_killed_meets_all_again(tmp_path: Path) -> None:
 
 
 def test_soak_of_forty_virtual_agents_loses_nobody() -> None:
-    """They meet, and each gives its task to the next one."""
+    """They connect, and the task of each migrates to the next one."""
     outcome = virtual.run(40, 20.0, 1, silent)
     assert outcome.faults == []
     assert (outcome.moved, outcome.links) == (40, 40 * 39)

@@ -63,7 +63,7 @@ def test_torture_schedules_run_and_write_their_figures(program: Any, tmp_path: P
 
 
 class Judged(NamedTuple):
-    """A command of `scripts/torture`, and where what it judges comes from: with a fault in it or not."""
+    """A command of `scripts/torture`, and the source of its figures, with or without a fault."""
 
     arguments: str
     module: Any
@@ -147,7 +147,7 @@ JUDGED = (
 
 
 def test_torture_commands_convict_only_what_is_broken(tmp_path: Path) -> None:
-    """The exit code is 1 if there is a fault, else 0; the figures are written either way."""
+    """The exit code is 1 if there is a fault, otherwise 0; the figures are written in both cases."""
     file = tmp_path / "figures.json"
 
     def judge(case: Judged) -> None:
@@ -276,7 +276,7 @@ RUN = "import sys\nfrom pathlib import Path\n{fleet}\nprint(fleet.running['a'].p
 
 
 def test_torture_agents_end_with_their_run(begun: Any, tmp_path: Path) -> None:
-    """They are not interrupted with it: Ctrl-C at a terminal is for all of its process group."""
+    """Ctrl-C at a terminal reaches the whole process group, but must not interrupt the agents."""
     for number, fleet in enumerate((LOADED, LIVE)):
         directory = tmp_path / str(number)
         directory.mkdir()
@@ -305,7 +305,7 @@ with interruptible(), Namespaces() as spaces:
 
 
 def test_torture_namespaces_are_removed_at_any_end(begun: Any) -> None:
-    """By a run that is asked to end; and by the next one, if a run was killed. One that lives keeps its own."""
+    """By a run that is stopped; and by the next one, if a run was killed. A live run keeps its own."""
     try:
         check()
     except NoNamespaces as error:
@@ -332,7 +332,7 @@ def test_torture_namespaces_are_removed_at_any_end(begun: Any) -> None:
 
 
 def test_torture_names_what_it_cannot_run(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """Without network namespaces the rest is run; somebody who asks for them gets an error."""
+    """Without network namespaces the rest is run; if they are requested, this is an error."""
 
     def cannot() -> None:
         raise NoNamespaces("only root can make network namespaces")

@@ -232,7 +232,7 @@ def _lateness(findings: Findings, pictures: Mapping[str, Picture]) -> str:
             timer.ticks,
             timer.missed,
             1e3 * timer.lateness_mean_s,
-            *(_report_page_ms(timer.lateness_quantile_s(share)) for share in (0.5, 0.99)),
+            *(_in_ms(timer.lateness_quantile_s(share)) for share in (0.5, 0.99)),
             1e3 * timer.lateness_max_s,
         )
         for _, timer in sorted(findings.rates.timers.items(), key=lambda it: (-it[1].lateness_max_s, it[0]))
@@ -243,7 +243,7 @@ def _lateness(findings: Findings, pictures: Mapping[str, Picture]) -> str:
     return shown + (_table(head, rows) + note if "lateness" in pictures else "")
 
 
-def _report_page_ms(seconds: float | None) -> float | None:
+def _in_ms(seconds: float | None) -> float | None:
     return 1e3 * seconds if seconds is not None else None
 
 
@@ -277,7 +277,7 @@ def _traffic(findings: Findings, pictures: Mapping[str, Picture]) -> str:
         html += _faint("Recorded packets with their size on the wire, without the messages of the links themselves.")
     if findings.rates.links:
         links = [
-            (agent, peer, _report_page_ms(link.rtt_s), link.packets_out, link.bytes_out, link.packets_in, link.bytes_in)
+            (agent, peer, _in_ms(link.rtt_s), link.packets_out, link.bytes_out, link.packets_in, link.bytes_in)
             for (agent, peer), link in sorted(findings.rates.links.items())
         ]
         head = ("agent", "link to", "round trip [ms]", "packets out", "bytes out", "packets in", "bytes in")
