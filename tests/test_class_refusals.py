@@ -623,7 +623,7 @@ def load(module_of, kind, text):
 def test_dataclass_for_a_class_that_pancakes_makes_is_refused(module_of):
     def check(case):
         said = load(module_of, *case)
-        assert "is decorated with @dataclass, and it is Pancakes that makes" in said
+        assert "is decorated with @dataclass, but Pancakes makes" in said
         assert f"{module_of.path}:" in said
 
     for_each(DECORATED, check)

@@ -27,7 +27,7 @@ def test_names_that_are_none_are_shown_safely():
     def check(name):
         for client in (False, True):
             fault = fault_of_name(name, client)
-            assert "is no name" in fault and fault.isascii() and fault.isprintable()
+            assert "is not a name" in fault and fault.isascii() and fault.isprintable()
 
     for_each(
         [
@@ -51,11 +51,11 @@ def test_names_that_are_none_are_shown_safely():
 
 def test_only_a_terminal_or_a_person_has_dots_in_the_name():
     assert fault_of_name("ada.l", client=True) == ""
-    assert "'ada.l' is no name" in fault_of_name("ada.l")
+    assert "'ada.l' is not a name" in fault_of_name("ada.l")
     assert Identity("ada.l", "journal", role="client").hello().name == "ada.l"
-    with pytest.raises(LocalProtocolError, match="'ada.l' is no name"):
+    with pytest.raises(LocalProtocolError, match="'ada.l' is not a name"):
         Identity("ada.l", "journal").hello()
-    with pytest.raises(LocalProtocolError, match="'all.of.them' is no name"):
+    with pytest.raises(LocalProtocolError, match="'all.of.them' is not a name"):
         Identity("ada", "journal", fleet="all.of.them").hello()
 
 
@@ -88,7 +88,7 @@ def test_a_task_that_is_offered_under_no_name_is_not_taken():
 
 
 def test_no_channel_is_opened_under_what_is_no_name():
-    with pytest.raises(PancakesError, match=r"'a\.b' is no name"):
+    with pytest.raises(PancakesError, match=r"'a\.b' is not a name"):
         InformationStream("a").open("a.b")
 
 

@@ -137,8 +137,8 @@ class DeviceConfig(Struct, frozen=True):
         name: the device's name on this agent.
         driver: the name of its driver, such as `sim.ir`.
         service: the device service that runs it.
-        rate_hz: how often it is sampled; 0: not before it is rescheduled. Not for drivers whose hardware decides when it
-            has a reading.
+        rate_hz: how often it is sampled; 0: not before it is rescheduled. Not for drivers whose hardware decides
+            when it has a reading.
         settings: plain values for the driver's `Settings`.
         restart: what the device service does when it fails.
         hold_after_s: an actuator goes to its safe hold when no command came for this time, in mission seconds.

@@ -1,9 +1,9 @@
 """A journal in a directory: one file for each entry, replaced atomically, behind a write-ahead file.
 
 A write that replaces a file costs several rounds of the disk. So a batch is first appended to the write-ahead file,
-with one fsync; its entries get files of their own later. The directory must belong to the agent's user, is locked
-while the journal is open, and is kept open: what is done by its handle is done in it, whatever has its name
-meanwhile. Some room is reserved for a disk that is full.
+with one fsync; its entries get files of their own later. The directory must belong to the agent's user. It is locked
+while the journal is open, and kept open: all access goes through its handle, so it always is the directory that was
+opened, even if another one has its name by then. Some room is reserved for a full disk.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ _HEAD_BYTES: Final = len(_MAGIC) + _LENGTH_BYTES + _DIGEST_BYTES
 
 
 class Batch(msgspec.Struct, frozen=True, array_like=True):
-    """What was written in one go.
+    """Entries that were written together.
 
     Attributes:
         journal: the id of the journal that has written it.
@@ -56,12 +56,12 @@ class Batch(msgspec.Struct, frozen=True, array_like=True):
 
 
 class WrittenAhead(NamedTuple):
-    """What a write-ahead file says.
+    """The contents of a write-ahead file.
 
     Attributes:
-        batches: the batches, up to the first that cannot be believed.
-        damaged: whether whole ones follow that. Else the machine died while the last one was written, which no caller
-            was told of.
+        batches: the batches, up to the first that is not valid.
+        damaged: whether valid batches follow that one. If not, the machine died during the last write, which no caller
+            was told had succeeded.
     """
 
     batches: Sequence[Batch]
@@ -75,7 +75,7 @@ def seal_batch(journal: str, entries: Sequence[JournalEntry]) -> bytes:
     """Return a batch as it is appended to the file.
 
     Raises:
-        JournalError: there is no memory for it.
+        JournalError: out of memory.
     """
     try:
         body = codecs.encode(Batch(journal, tuple(entries)))
@@ -94,7 +94,7 @@ def read_ahead(data: bytes) -> WrittenAhead:
 
 
 def _batch_at(data: bytes, at: int) -> tuple[Batch, int] | None:
-    """Return the batch that begins at a byte, and where the next one would; None: no whole one begins there."""
+    """Return the batch that begins at a byte, and where the next one begins; None: no valid batch begins there."""
     head = data[at : at + _HEAD_BYTES]
     if not head.startswith(_MAGIC) or len(head) < _HEAD_BYTES:
         return None
@@ -121,30 +121,30 @@ _GONE: Final = (errno.ENOENT, errno.ENOTDIR, errno.ESTALE, errno.ELOOP)
 
 
 class StateDirectory:
-    """The directory, kept open: what is done by its handle is done in it, whatever has its name meanwhile.
+    """The directory, kept open: access by its handle goes to it, even if another one has its name meanwhile.
 
     Args:
-        path: where it lies; it is made there if need be, for its owner alone (0700). A symbolic link is followed.
+        path: its path; it is created if missing, only for its owner (0700). A symbolic link is followed.
 
     Attributes:
-        path: where it lies.
+        path: its path.
         handle: for calls that take a `dir_fd`.
         remarks: what people should know about it, each a sentence.
 
     Raises:
-        JournalError: other users can write it, or it belongs to one; the message says how to mend that.
+        JournalError: other users can write it, or it belongs to one; the message says how to fix that.
         OSError: it cannot be made or opened.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self._absolute = path.absolute()  # the working directory may be changed by what runs here
+        self._absolute = path.absolute()  # a task may change the working directory
         self.remarks: tuple[str, ...] = ()
         if path.is_symlink():
             real = os.path.realpath(path)
-            self.remarks = (f"the state directory {path} is a symbolic link: what lies in {real} is used",)
+            self.remarks = (f"the state directory {path} is a symbolic link: {real} is used",)
             if not os.path.exists(path):
-                raise JournalError(f"the state directory {path} is a symbolic link to {real}: make that a directory")
+                raise JournalError(f"the state directory {path} is a symbolic link to {real}: make it a directory")
         _make(path)
         self.handle = os.open(path, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
         fault = fault_of(path, os.fstat(self.handle))
@@ -153,14 +153,14 @@ class StateDirectory:
             raise JournalError(fault)
 
     def check(self, lock: str, locked: int) -> None:
-        """Look whether another process could open the directory of this name beside us.
+        """Check that no other process could open a directory of this name too.
 
         Args:
             lock: name of the lock file in it.
-            locked: the handle by which that is locked.
+            locked: the handle that locks it.
 
         Raises:
-            JournalLost: it could.
+            JournalLost: one could.
         """
         if not _same(self._absolute, None, self.handle):
             raise JournalLost(f"the state directory {self.path} was removed or replaced while the agent ran")
@@ -168,16 +168,16 @@ class StateDirectory:
             raise JournalLost(f"the file {lock} of the state directory {self.path} was removed while the agent ran")
 
     def close(self) -> None:
-        """Let go of it. Called once."""
+        """Close it. Call this once."""
         os.close(self.handle)
 
 
 def fault_of(path: Path, found: os.stat_result) -> str:
-    """Say why a state directory must not be used, and how to mend that; empty: it may.
+    """Return why a state directory must not be used, and how to fix that; empty: it may.
 
     Args:
-        path: where it lies.
-        found: what the operating system says of it.
+        path: its path.
+        found: its `stat`.
     """
     me = os.geteuid()
     if found.st_uid != me:
@@ -188,7 +188,7 @@ def fault_of(path: Path, found: os.stat_result) -> str:
     if found.st_mode & _OTHERS:
         return (
             f"the state directory {path} can be written by other users (mode {stat.S_IMODE(found.st_mode):04o}), so"
-            f" each of them could change what its tasks are: chmod go-w {path}"
+            f" each of them could change its tasks: chmod go-w {path}"
         )
     return ""
 
@@ -201,7 +201,7 @@ def _user(number: int) -> str:
 
 
 def _same(path: Path | str, within: int | None, handle: int) -> bool:
-    """Return whether a path leads to what is open as `handle`; also where the operating system cannot say."""
+    """Return whether a path leads to the file that is open as `handle`, or this cannot be known."""
     try:
         found = os.stat(path, dir_fd=within)
     except OSError as error:
@@ -211,7 +211,7 @@ def _same(path: Path | str, within: int | None, handle: int) -> bool:
 
 
 def _make(path: Path) -> None:
-    """Make the directory for its owner alone, and see to it that its name survives a crash as well."""
+    """Make the directory only for its owner, and make sure that its name survives a crash too."""
     if path.is_dir():
         return
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -229,39 +229,39 @@ _TEMPORARY: Final = ".tmp"
 _RESERVE: Final = "reserve"
 _FULL: Final = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 RESERVE_BYTES: Final = 128 * 2**10
-"""Room that is kept for a disk that is full: to start, and to give what is written ahead files of its own."""
+"""Room that is reserved for a full disk: to start, and to give written-ahead entries their own files."""
 _BLOCK_BYTES: Final = 4096
-"""A file takes so many bytes, and up to so many more."""
+"""The overhead of a file on disk: this many bytes, and up to as many again."""
 CHECK_S: Final = 0.8
-"""How often, in seconds, it is looked whether the directory is still there."""
+"""How often, in seconds, the directory is checked."""
 MOST_AHEAD_BYTES: Final = 16 * 2**20
-"""Where the write-ahead file would become longer, its entries get files of their own, ..."""
+"""If the write-ahead file would become longer, its entries get files of their own, ..."""
 MOST_AHEAD: Final = 1000
-"""... and where it would have more entries: a disk may take half a second for so many files."""
+"""... and if it would have more entries: a disk may take half a second for this many files."""
 MOST_AT_END: Final = 100
-"""A journal that is closed with more entries in it leaves them there: its agent has two seconds to end."""
+"""With more entries than this, they stay there when the journal closes: its agent has two seconds to end."""
 LARGE_BYTES: Final = 256 * 2**10
-"""A batch of so many bytes for each of its entries is not written ahead: it would be written twice."""
+"""A batch with more bytes than this for each entry is not written ahead: it would be written twice."""
 
 
 class FileJournal(Journal):
     """The journal in an agent's state directory.
 
-    The directory is made if need be, for its owner alone (0700), and locked while the journal is open. Each entry has a
-    file of its own: it is written to a temporary file, fsynced, renamed over the old one, and the directory is fsynced,
-    so a reader finds the old entry or the new one, never a part of either. As that costs several rounds of the disk for
-    each entry, a batch is first appended to one file, with one fsync. What is in that gets files of its own once it is
-    long, when the disk has little room left, when the journal is closed, if that takes no time, and else at the next
-    opening. All of that is done in the directory that was opened, never in another one that has its name since.
+    The directory is created if missing, only for its owner (0700), and locked while the journal is open. Each entry has
+    a file of its own: it is written to a temporary file, fsynced, and renamed over the old one; then the directory is
+    fsynced. So a reader finds the old entry or the new one, never a part of either. As that costs several rounds of the
+    disk for each entry, a batch is first appended to one file, with one fsync. Its entries get files of their own once
+    that file is long, when the disk has little room left, when the journal is closed (if that is quick), and otherwise
+    at the next opening. All of that happens in the directory that was opened, even if another one has its name by then.
 
     Args:
         directory: the state directory.
-        new_uuid: the id that a new journal gets; empty: a random one.
+        new_uuid: the id of a new journal; empty: a random one.
         agent: the name of the agent that opens it.
 
     Raises:
-        JournalError: the directory cannot be made, is used by another process, can be written by other users or
-            belongs to one; a sentence that names it.
+        JournalError: the directory cannot be created, is used by another process, can be written by other users or
+            belongs to one; the message names it.
     """
 
     check_s = CHECK_S
@@ -271,10 +271,10 @@ class FileJournal(Journal):
         self.place = str(directory)
         self._opened: StateDirectory | None = None
         self._lock: int | None = None
-        self._ahead: dict[str, JournalEntry] = {}  # what is in the write-ahead file and has no file of its own, by name
+        self._ahead: dict[str, JournalEntry] = {}  # entries that are only in the write-ahead file, by name
         self._ahead_bytes = 0
-        self._ahead_torn = False  # whether more is in it, which could not be written whole
-        self._reserved = False  # whether the room is kept
+        self._ahead_torn = False  # whether it ends with a batch that was not written completely
+        self._reserved = False  # whether the room is reserved
         try:
             self._opened = StateDirectory(directory)
             self.remarks = self._opened.remarks
@@ -284,7 +284,7 @@ class FileJournal(Journal):
             self._with_reserve(lambda: self._open(lambda: new_uuid or str(uuid.uuid4()), agent, doubt))
             if self.copied:
                 self.remarks += (
-                    f"the state directory {directory} is a copy, as a restored backup is: what was written to the"
+                    f"the state directory {directory} is a copy, such as a restored backup: what was written to the"
                     " original since then is not in it",
                 )
             if doubt:
@@ -306,10 +306,10 @@ class FileJournal(Journal):
 
     def close(self) -> None:
         if 0 < len(self._ahead) <= MOST_AT_END:
-            with suppress(JournalError):  # the next opening does it
+            with suppress(JournalError):  # the next opening does it again
                 self._put_in_place()
         if self._lock is not None:
-            # Closing the file gives the lock back.
+            # Closing the file releases the lock.
             os.close(self._lock)
             self._lock = None
         if self._opened is not None:
@@ -317,12 +317,12 @@ class FileJournal(Journal):
             self._opened = None
 
     def _clear_up(self) -> None:
-        """Remove temporary files: each is what a write had got to when the agent died, never an entry."""
+        """Remove temporary files: each is left of a write during which the agent died, never an entry."""
         for name in self._names(SUFFIX + _TEMPORARY):
             os.unlink(name, dir_fd=self._handle)
 
     def _recover(self) -> str:
-        """Give files to what was written ahead before; return why the journal cannot be believed, if it cannot."""
+        """Give files to entries that were written ahead earlier; return why the journal is not valid, if so."""
         try:
             batches, damaged = read_ahead(self._load(WRITE_AHEAD))
         except FileNotFoundError:
@@ -343,14 +343,14 @@ class FileJournal(Journal):
         full = self._ahead_bytes + len(data) > MOST_AHEAD_BYTES or len(self._ahead) + len(newest) > MOST_AHEAD
         full = full or (self._ahead_bytes > 0 and self._is_tight(len(data)))
         if self._ahead_torn or full or (large and not self._ahead.keys().isdisjoint(newest)):
-            self._put_in_place()  # else an older entry would take the place of a newer one at the next opening
+            self._put_in_place()  # otherwise an older entry would replace a newer one at the next opening
         if large:
             try:
                 super()._store(newest)
             except OSError as error:
                 raise self._cannot_write(error) from None
             return
-        self._ahead_torn = True  # until it is known that it is not
+        self._ahead_torn = True  # until it is known to be complete
         try:
             length = self._append(data)
         except OSError as error:
@@ -365,36 +365,36 @@ class FileJournal(Journal):
         self.check()
 
     def _append(self, data: bytes) -> int:
-        """Append to the write-ahead file; return how long that is."""
+        """Append to the write-ahead file; return its size."""
         with os.fdopen(self._open_file(WRITE_AHEAD, os.O_WRONLY | os.O_APPEND | os.O_CREAT), "wb") as file:
             file.write(data)
             file.flush()
             self._sync(file.fileno(), len(data))
             length = os.fstat(file.fileno()).st_size
         if length == len(data):
-            self._sync(self._handle)  # it is new, and so is its name
+            self._sync(self._handle)  # the file is new, and so is its name
         return length
 
     def _cut_back(self) -> None:
-        """Take what could not be written whole off the end of the write-ahead file, so that its room is free again."""
+        """Truncate an incomplete batch at the end of the write-ahead file, so that its room is free again."""
         with suppress(OSError), os.fdopen(self._open_file(WRITE_AHEAD, os.O_WRONLY), "wb") as file:
             os.ftruncate(file.fileno(), self._ahead_bytes)
             self._ahead_torn = False
 
     def _is_tight(self, more_bytes: int) -> bool:
-        """Whether the disk has little more room than what is written ahead takes in files of its own."""
+        """Return whether the disk has little more room than the written-ahead entries take in files of their own."""
         entries = self._ahead.values()
         needed = sum(len(entry.data) + 2 * _BLOCK_BYTES for entry in entries) + more_bytes + _BLOCK_BYTES
         return needed < self._ahead_bytes and _room(self._handle) < 2 * needed
 
     def _reserve(self) -> None:
-        """Keep some room, as far as there is any."""
+        """Reserve some room, as far as there is any."""
         with suppress(OSError), os.fdopen(self._open_file(_RESERVE, os.O_RDWR | os.O_CREAT), "wb") as file:
             os.posix_fallocate(file.fileno(), 0, RESERVE_BYTES)
             self._reserved = True
 
     def _with_reserve(self, write: Callable[[], None]) -> None:
-        """Write what must be on disk; if that is full, in the room that is kept for this."""
+        """Write what must be on disk; if the disk is full, in the reserved room."""
         try:
             write()
         except OSError as error:
@@ -406,7 +406,7 @@ class FileJournal(Journal):
             write()
 
     def _put_in_place(self) -> None:
-        """Give each entry that is written ahead a file of its own."""
+        """Give each written-ahead entry a file of its own."""
         contents = {name: seal(self.uuid, entry) for name, entry in self._ahead.items()}
         try:
             self._with_reserve(lambda: self._replace(contents))
@@ -424,7 +424,7 @@ class FileJournal(Journal):
         self._sync(self._handle)
 
     def _cannot_write(self, error: OSError) -> JournalError:
-        # Of a directory that is gone the operating system says the same as of a file that is not there.
+        # The operating system reports the same error for a missing directory as for a missing file.
         self.check()
         return JournalError(f"the journal cannot write: {error.strerror} ({self.directory})")
 
@@ -435,7 +435,7 @@ class FileJournal(Journal):
         return self._opened.handle
 
     def _mark(self) -> str:
-        # No program can set the time at which a file was changed last, and this file is not changed once it is there.
+        # No program can set the time of a file's last change (ctime), and this file is never changed.
         with os.fdopen(self._open_file(_MARK, os.O_RDONLY | os.O_CREAT), "rb") as file:
             os.fsync(file.fileno())
             return str(os.fstat(file.fileno()).st_ctime_ns)
@@ -444,8 +444,8 @@ class FileJournal(Journal):
         return sorted(name for name in os.listdir(self._handle) if name.endswith(ending))
 
     def _place(self, name: str) -> str:
-        # Not by pathlib, which has Python keep each part of each path in one table for all: of names that come once,
-        # as those of accounts of moves do, the table grew, and was made again and again, up to 1 MiB.
+        # Not by pathlib, which makes Python keep each part of each path in one table for good: with names that come
+        # only once, such as those of migration accounts, the table grew again and again, up to 1 MiB.
         return os.path.join(self.directory, name)
 
     def _open_file(self, name: str, flags: int) -> int:
@@ -461,14 +461,14 @@ class FileJournal(Journal):
             for name, data in contents.items():
                 self._write_temporary(name, data)
         except OSError:
-            for name in contents:  # what is there of them takes room
+            for name in contents:  # partly written ones take room
                 with suppress(OSError):
                     os.unlink(name + _TEMPORARY, dir_fd=handle)
             raise
         for name in contents:
             os.replace(name + _TEMPORARY, name, src_dir_fd=handle, dst_dir_fd=handle)
         self._sync(handle)
-        # What is on disk where the next start does not look for it is not on disk.
+        # Entries in a directory that the next start does not open are lost.
         self.check()
 
     def _write_temporary(self, name: str, data: bytes) -> None:
@@ -489,19 +489,19 @@ class FileJournal(Journal):
 
 
 def _room(handle: int) -> int:
-    """How many bytes can be written to the disk of an open directory."""
+    """Return how many bytes can be written to the disk of an open directory."""
     found = os.fstatvfs(handle)
     return found.f_bavail * found.f_frsize
 
 
 def empty(directory: Path) -> bool:
-    """Remove the journal in a state directory, and nothing else that lies there.
+    """Remove the journal in a state directory, and no other files.
 
     Returns:
-        Whether there was one.
+        Whether there was a journal.
 
     Raises:
-        JournalError: the directory is used by a process, or cannot be changed; a sentence that names it.
+        JournalError: the directory is used by a process, or cannot be changed; the message names it.
     """
     if not directory.is_dir():
         return False
@@ -510,7 +510,8 @@ def empty(directory: Path) -> bool:
         try:
             lock = _locked(opened)
             try:
-                # Without an identity the rest is not believed: what a kill leaves is not taken for a whole journal.
+                # Without an identity the rest is not valid, so a journal that is half removed is not taken for a whole
+                # one.
                 names = os.listdir(opened.handle)
                 found = [it for it in names if SUFFIX in it or it.startswith(WRITE_AHEAD) or it == _RESERVE]
                 for name in sorted(found, key=lambda name: not name.startswith("identity.")):

@@ -1,9 +1,9 @@
 """The journal: durable entries, an id for life and a counter of boots; and a journal in memory.
 
-Where entries are stored is a subclass's matter: `MemoryJournal` here (virtual time and tests), `FileJournal` in
-`pancakes.journal.file_journal`. Each entry is sealed with a checksum and the id of its journal, so nothing torn or
-foreign is ever believed. What cannot be believed is set aside under another name and reported. All methods wait for
-the disk, and one thread at a time calls them.
+Subclasses store the entries: `MemoryJournal` here (virtual time and tests), `FileJournal` in
+`pancakes.journal.file_journal`. Each entry is sealed with a checksum and the id of its journal, so torn or foreign
+entries are detected. They are set aside under another name and reported. All methods wait for the disk, and only one
+thread at a time calls them.
 """
 
 from __future__ import annotations
@@ -31,16 +31,16 @@ class JournalError(PancakesError):
 
 
 class JournalLost(JournalError):
-    """The state directory is not the one any more that was opened: another process may open what lies there now."""
+    """The state directory is no longer the one that was opened: another process may open the new one."""
 
 
 class JournalEntry(msgspec.Struct, frozen=True, array_like=True):
-    """One durable thing. A later entry of the same kind and key takes its place.
+    """One durable entry. A later entry of the same kind and key replaces it.
 
     Attributes:
-        kind: what it is (`task`, `fence`, `ledger`), in lower-case letters.
+        kind: its kind (`task`, `fence`, `ledger`), in lower-case letters.
         key: which of its kind, such as a task's id.
-        data: what is kept; the journal does not look into it.
+        data: the contents, which the journal does not read.
     """
 
     kind: str
@@ -49,15 +49,15 @@ class JournalEntry(msgspec.Struct, frozen=True, array_like=True):
 
 
 class SetAside(msgspec.Struct, frozen=True):
-    """An entry that was found, could not be believed, and was put aside under another name.
+    """An entry that was not valid and was set aside under another name.
 
     Attributes:
-        name: where it lay.
-        now: where it lies now; people may look at it, the journal never does.
-        reason: why it was not believed.
-        kind: what it claims to be, as far as its name tells; empty if it does not.
-        key: which of that kind, as far as its name tells.
-        entry: what can be read of it all the same: it is whole, but of another journal; None: nothing.
+        name: its old name.
+        now: its new name; people may look at it, the journal never does.
+        reason: why it was not valid.
+        kind: its kind, according to its name; empty: unknown.
+        key: its key, according to its name; empty: unknown.
+        entry: its contents if they are whole but of another journal; None: not readable.
         times: how often an entry of this name was set aside, this time included.
     """
 
@@ -74,7 +74,7 @@ class SetAside(msgspec.Struct, frozen=True):
 
 
 class Unbelievable(Exception):
-    """Sealed bytes are not what they should be; the message goes on from the file's name."""
+    """Sealed bytes are not valid; the message continues after the file's name."""
 
 
 class _Sealed(msgspec.Struct, frozen=True, array_like=True):
@@ -89,7 +89,7 @@ def seal(journal: str, entry: JournalEntry) -> bytes:
     """Return an entry as it is stored by the journal with the id `journal`: marked, and with its checksum.
 
     Raises:
-        JournalError: there is no memory for it.
+        JournalError: out of memory.
     """
     try:
         body = codecs.encode(_Sealed(journal, entry))
@@ -101,17 +101,17 @@ def seal(journal: str, entry: JournalEntry) -> bytes:
 
 
 def unseal(journal: str, sealed: bytes) -> JournalEntry:
-    """Return the entry that was stored.
+    """Return a stored entry.
 
     Args:
-        journal: id of the journal that must have stored it; empty if any will do.
+        journal: id of the journal that must have stored it; empty: any.
         sealed: what was read.
 
     Raises:
         Unbelievable: the bytes are torn, damaged, or another journal's.
     """
     if not sealed.startswith(_MAGIC):
-        raise Unbelievable("is no file of a journal" if sealed else "is empty")
+        raise Unbelievable("is not a file of a journal" if sealed else "is empty")
     head = len(_MAGIC) + _DIGEST_BYTES
     body = sealed[head:]
     if sha256(body) != sealed[len(_MAGIC) : head]:
@@ -126,24 +126,24 @@ def unseal(journal: str, sealed: bytes) -> JournalEntry:
 
 
 FORMAT: Final = 1
-"""Of what a journal keeps: a later version of Pancakes that keeps it otherwise has a higher one, and reads this."""
+"""The format of a journal: a later version of Pancakes with another format has a higher number, and reads this one."""
 SUFFIX: Final = ".rec"
-"""What names of stored entries end with."""
+"""The suffix of stored entries."""
 BAD: Final = ".bad"
-"""What is appended to the name of what was set aside."""
+"""The suffix of entries that were set aside."""
 MOST_NAMES: Final = 8
-"""So many names of agents a journal remembers, the newest."""
+"""How many names of agents a journal remembers, the newest ones."""
 _BAD_NAME: Final = re.compile(rf"(.+{re.escape(SUFFIX)})(?:\.(\d+))?{re.escape(BAD)}")
 _IDENTITY: Final = "identity"
 _LONGEST_NAME: Final = 200
 
 
 class DiskUse(NamedTuple):
-    """What a journal has asked of its disk since it was opened: flash wears out by both.
+    """The disk use of a journal since it was opened: both wear out flash.
 
     Attributes:
-        syncs: how often it has waited until all was on the disk (`fsync`).
-        written_bytes: how much it has written.
+        syncs: how often it has called `fsync`.
+        written_bytes: how many bytes it has written.
     """
 
     syncs: int = 0
@@ -153,24 +153,24 @@ class DiskUse(NamedTuple):
 class Journal(ABC):
     """The durable entries of one agent.
 
-    Its id (`uuid`) is made with it; a journal with another id under the same agent's name means that the
-    disk was lost. All methods wait for the disk and are called in one thread at a time.
+    A new journal gets a new id (`uuid`). Another id under the same agent's name means that the disk was lost. All
+    methods wait for the disk and are called in one thread at a time.
 
     Attributes:
         uuid: the journal's id.
         boot: how often it was opened, this time included.
-        life: drawn again at each opening: two that have the same boot and another life are copies of one journal.
-        copy: which copy of the journal this is, where a file at a time was copied, as backups and moves to another
-            disk do; empty: the original. A copy of the whole disk is taken for what it is a copy of.
+        life: drawn at each opening: two journals with the same boot and different lives are copies of one.
+        copy: which copy of the journal this is, if it was copied file by file, as backups and moves to another disk do;
+            empty: the original. A copy of the whole disk counts as the original.
         copied: whether this opening is the first of that copy.
         former: the names of the agents that have opened it before, other than the one that does now.
-        set_aside: what was found at opening and could not be believed; to be reported by name.
-        missing: what was set aside at this opening or an earlier one, and has no entry in its place since then.
-        written_by: the version of Pancakes that opened it last before; empty: it is new, or that was not written down.
-        place: where it is kept, for people.
-        remarks: what people should know about that place, each a sentence.
-        check_s: how often, in seconds, `check` should be called; None: there is nothing to check.
-        use: what it has asked of the disk so far.
+        set_aside: entries that were not valid at opening; to be reported by name.
+        missing: entries that were set aside at this opening or an earlier one, and not replaced since then.
+        written_by: the version of Pancakes that opened it last before; empty: it is new, or the version is unknown.
+        place: where it is stored, for people.
+        remarks: what people should know about the place, each a sentence.
+        check_s: how often, in seconds, `check` should be called; None: never.
+        use: its disk use so far.
     """
 
     uuid: str
@@ -196,25 +196,25 @@ class Journal(ABC):
         return self._entries.get((kind, key))
 
     def write(self, batch: Sequence[JournalEntry]) -> None:
-        """Make entries durable, all of them at the price of little more than one.
+        """Make entries durable, at little more than the cost of a single one.
 
-        When it returns they are on disk for good. When it raises, or when the machine dies in it, each of
-        them is either wholly there or not at all.
+        When it returns, they are on disk. When it raises, or when the machine dies meanwhile, each of them is either
+        wholly stored or not at all.
 
         Raises:
-            JournalError: the disk is full, gone, or read-only; or an entry's kind is no word.
+            JournalError: the disk is full, gone, or read-only; or an entry's kind is not valid.
             JournalLost: see `check`.
         """
         newest: dict[str, JournalEntry] = {}
         for entry in batch:
             if not re.fullmatch(r"[a-z]+", entry.kind) or entry.kind == _IDENTITY:
-                raise JournalError(f"{entry.kind!r} is no kind of journal entry: lower-case letters are")
+                raise JournalError(f"{entry.kind!r} is not a kind of journal entry: use lower-case letters")
             newest[name_of(entry.kind, entry.key)] = entry
         self._store(newest)
         self._entries.update(((entry.kind, entry.key), entry) for entry in newest.values())
 
     def check(self) -> None:
-        """Look whether the journal still is what was opened.
+        """Check that the journal is still the one that was opened.
 
         Raises:
             JournalLost: it is not; the message says what has happened.
@@ -223,22 +223,22 @@ class Journal(ABC):
 
     @abstractmethod
     def close(self) -> None:
-        """Let go of the journal, so that another process may open it. A second call does nothing."""
+        """Release the journal, so that another process may open it. A second call does nothing."""
 
     def _store(self, newest: Mapping[str, JournalEntry]) -> None:
-        """Make entries durable, by the names under which each is stored."""
+        """Make entries durable, by the names under which they are stored."""
         self._replace({name: seal(self.uuid, entry) for name, entry in newest.items()})
 
     def _open(self, new_uuid: Callable[[], str], agent: str, doubt: str = "") -> None:
-        """Read everything there is, put aside what cannot be believed, and count the boot.
+        """Read all entries, set aside those that are not valid, and count the boot.
 
         Args:
             new_uuid: makes the id of a new journal.
             agent: the name of the agent that opens it.
-            doubt: why this is not believed to be the journal that it says it is; empty: it is.
+            doubt: why it may not be the journal that it claims to be; empty: it is.
 
         Raises:
-            JournalError: a later version of Pancakes has written it, in another format. Nothing of it was changed.
+            JournalError: a later version of Pancakes wrote it, in another format. It was not changed.
         """
         self._entries: dict[tuple[str, str], JournalEntry] = {}
         aside: list[SetAside] = []
@@ -258,7 +258,7 @@ class Journal(ABC):
                 f" Pancakes {__version__}, which reads formats up to {FORMAT}: start it with that version"
             )
         self.written_by = found.version
-        # Without an identity of its own, entries that are there belong to another journal, and are put aside.
+        # Without an identity, the entries belong to another journal, and are set aside.
         self.uuid, mark = found.uuid or self.life, self._mark()
         self.copied = bool(found.uuid) and found.mark != mark
         self.copy = self.life if self.copied else found.copy
@@ -283,7 +283,7 @@ class Journal(ABC):
         self._replace({identity: seal(self.uuid, JournalEntry(_IDENTITY, _IDENTITY, contents))})
 
     def _is_of(self, journal: str) -> bool:
-        """Return whether the identity that is stored is that of the journal with this id."""
+        """Return whether the stored identity is that of the journal with this id."""
         name = name_of(_IDENTITY, _IDENTITY)
         try:
             return name in self._names(SUFFIX) and bool(unseal(journal, self._load(name)))
@@ -299,7 +299,7 @@ class Journal(ABC):
         return SetAside(self._place(name), self._place(bad), reason, kind, key)
 
     def _missing(self) -> tuple[SetAside, ...]:
-        """Return what lies aside and has no entry in its place; of several of one name the newest."""
+        """Return the entries set aside that were not replaced; of several with one name, the newest."""
         newest: dict[str, tuple[int, str]] = {}
         for bad in self._names(BAD):
             match = _BAD_NAME.fullmatch(bad)
@@ -323,15 +323,15 @@ class Journal(ABC):
 
     @abstractmethod
     def _mark(self) -> str:
-        """Return what a copy of the place does not have in common with it, and what it keeps for life."""
+        """Return a mark of the place that never changes, and that a copy of the place does not have."""
 
     @abstractmethod
     def _names(self, ending: str) -> list[str]:
-        """Return the names of all that is stored and ends with `ending`, sorted."""
+        """Return all stored names that end with `ending`, sorted."""
 
     @abstractmethod
     def _place(self, name: str) -> str:
-        """Return where `name` lies, for people."""
+        """Return where `name` is stored, for people."""
 
     @abstractmethod
     def _load(self, name: str) -> bytes:
@@ -343,7 +343,7 @@ class Journal(ABC):
 
     @abstractmethod
     def _rename(self, name: str, new: str) -> None:
-        """Give what lies at `name` another name, which is free."""
+        """Rename the entry `name`; the new name is free."""
 
 
 class _JournalIdentity(NamedTuple):
@@ -363,7 +363,7 @@ _DECODE_IDENTITY: Final = codecs.decoder(_JournalIdentity)
 def _read_identity(sealed: bytes) -> _JournalIdentity:
     entry = unseal("", sealed)
     try:
-        known = _DECODE_LIST(entry.data)[: len(_JournalIdentity._fields)]  # a later version may have more to say
+        known = _DECODE_LIST(entry.data)[: len(_JournalIdentity._fields)]  # a later version may have more fields
         return _DECODE_IDENTITY(codecs.encode_small(known))
     except MALFORMED as error:
         raise Unbelievable(f"cannot be understood ({why_malformed(error)})") from None
@@ -395,20 +395,20 @@ def _parts_of(name: str) -> tuple[str, str]:
 
 
 MARK: Final = "mark"
-"""Under this name a disk has what no copy of it has that is made a file at a time: leave it out there."""
+"""The key for the mark of a disk in memory; leave it out to simulate a copy that was made file by file."""
 
 
 class MemoryJournal(Journal):
-    """A journal whose disk is a dictionary: it survives the agent that dies, if the dictionary is kept.
+    """A journal on a dictionary: it survives its agent if the caller keeps the dictionary.
 
     Args:
-        disk: what is stored, by name. An empty one is a new disk.
-        new_uuid: the id that a new journal gets; in virtual time it comes from the seed.
+        disk: the stored bytes, by name; an empty one is a new disk.
+        new_uuid: the id of a new journal; in virtual time it comes from the seed.
         agent: the name of the agent that opens it.
 
     Attributes:
-        fault: why nothing can be written; empty: everything can.
-        latency_s: how long a write takes in virtual time.
+        fault: why writes fail; empty: they work.
+        latency_s: the duration of a write in virtual time.
     """
 
     place = "memory"

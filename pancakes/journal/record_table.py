@@ -1,4 +1,4 @@
-"""One kind of record on disk: read at the start, looked up in memory, written without waiting."""
+"""One kind of record on disk: read at the start, looked up in memory, written in the background."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from pancakes.util.codecs import MALFORMED, why_malformed
 
 
 class Disk(NamedTuple):
-    """The journal of an agent, for the tables that are kept on it.
+    """The journal of an agent, for its record tables.
 
     Attributes:
         journal: each table reads its records from it when the table is made, before anything is written.
         store: writes to that journal.
-        unread: the agent's list of what was found wrong at the start; each record that cannot be read adds a sentence.
+        unread: the agent's list of faults at the start; each record that cannot be read adds a sentence.
     """
 
     journal: Journal
@@ -31,18 +31,18 @@ _T = TypeVar("_T")
 
 
 class RecordTable(Generic[_T]):
-    """All records of one kind, by key. Any thread; of one key, one thread at a time writes.
+    """All records of one kind, by key. Any thread, but only one thread at a time may write a key.
 
     Args:
-        disk: what the records are kept on; read once, here.
+        disk: where the records are stored; read once, here.
         kind: the kind of their journal entries, in lower-case letters.
-        decode: makes a record of the bytes that `codecs.encode` made of it; raises an error if it cannot.
-        malformed: called, here, with the key of each record that cannot be read, and why.
+        decode: decodes a record that `codecs.encode` encoded; raises an error if it cannot.
+        malformed: called, here, with the key of each record that cannot be read, and the reason.
 
     Attributes:
         on_disk: the records as they are on disk.
-        newest: the records as they are on disk or about to be. Both change while other threads write: make a list of
-            their values before a loop over it.
+        newest: the records as they are on disk or will soon be. Both change while other threads write: copy their
+            values to a list before a loop.
     """
 
     on_disk: Mapping[str, _T]
@@ -64,14 +64,14 @@ class RecordTable(Generic[_T]):
         self.newest = self._newest
 
     def write(self, key: str, record: _T, then: Persisted, failed: Failed, may: May | None = None) -> None:
-        """Begin to write a record in the place of the one of this key. Never waits.
+        """Begin to write a record, replacing the one with this key. Never waits.
 
         Args:
             key: the record's key.
             record: what to write.
-            then: called, in the store's thread, when it is on disk for good.
+            then: called, in the store's thread, when it is on disk.
             failed: called instead, with the reason, if it could not be written.
-            may: says, in the store's thread, whether it may be written once its turn has come; None: it may.
+            may: returns, in the store's thread, why it may not be written when its turn has come; None: it may.
         """
         self._newest[key] = record
 
@@ -87,12 +87,12 @@ class RecordTable(Generic[_T]):
         self._store.persist(JournalEntry(self._kind, key, data), written, failed, may)
 
     def trouble(self, key: str) -> str:
-        """Say what keeps a record from being written; empty: nothing that is known of."""
+        """Return why a record cannot be written now; empty: no known reason."""
         return self._store.trouble(self._kind, key)
 
 
 def _of_another(version: str) -> str:
-    """Return what else is to be said of a record that cannot be read."""
+    """Return the end of the message for a record that cannot be read: which version wrote it."""
     if version == __version__:
         return ""
     written_by = f"Pancakes {version}" if version else "a version of Pancakes before 0.1.0"

@@ -21,7 +21,7 @@ from pancakes.util.clock import MonotonicClock
 FIRST_PAUSE_S: Final = 0.1
 LONGEST_PAUSE_S: Final = 5.0
 SAID_EVERY_S: Final = 5.0
-"""That the journal cannot write is said at most so often, in seconds."""
+"""How often at most it is logged that the journal cannot write, in seconds."""
 
 Key = tuple[str, str]
 """Kind and key of an entry."""
@@ -41,35 +41,35 @@ class _Trouble(msgspec.Struct):
 
 
 class Troubles:
-    """Count what fails, and say when it may be tried again. Pure; all times are in seconds of one clock."""
+    """Count failed writes, and decide when to retry. Pure; all times are in seconds of one clock."""
 
     def __init__(self) -> None:
         self._troubles: dict[Key, _Trouble] = {}
-        self._failures = 0  # since the journal could write last
+        self._failures = 0  # since the last successful write
         self._since_s = 0.0
-        self._said = False  # that it cannot
+        self._said = False  # whether the failure was logged
         self._said_s = -SAID_EVERY_S
 
     def due_s(self, key: Key) -> float:
-        """Return when an entry may be written; 0 if it did not fail of late."""
+        """Return when an entry may be written; 0 if it did not fail recently."""
         trouble = self._troubles.get(key)
         return trouble.due_s if trouble is not None else 0.0
 
     def reason(self, key: Key) -> str:
-        """Return why an entry could not be written when that was tried last; empty if it could."""
+        """Return why the last attempt to write an entry failed; empty if it did not."""
         trouble = self._troubles.get(key)
         return trouble.reason if trouble is not None else ""
 
     def newest(self) -> str:
-        """Return why an entry could not be written, of all that could not the newest; empty: all could."""
+        """Return the newest reason why an entry could not be written; empty: all could."""
         return next((it.reason for it in reversed(list(self._troubles.values()))), "")
 
     def worked(self, key: Key) -> None:
-        """An entry is on disk."""
+        """Note that an entry is on disk."""
         self._troubles.pop(key, None)
 
     def failed(self, key: Key, reason: str, now_s: float) -> None:
-        """An entry could not be written: each pause until the next try is twice as long as the last."""
+        """Note that an entry could not be written. Each pause until the next attempt is twice the last."""
         trouble = self._troubles.get(key)
         pause_s = FIRST_PAUSE_S if trouble is None else min(2 * trouble.pause_s, LONGEST_PAUSE_S)
         self._troubles[key] = _Trouble(reason, pause_s, now_s + pause_s)
@@ -78,14 +78,14 @@ class Troubles:
         self._failures += 1
 
     def saying(self, now_s: float) -> Saying | None:
-        """Return what is to be said after a round of writing; None: nothing, or nothing new."""
-        # One that was not tried again when it might have been has been given up by the code that asked for it.
+        """Return the log line after a round of writing; None: none is needed."""
+        # An entry that was not retried when it was due was given up by its caller.
         for key in [key for key, trouble in self._troubles.items() if trouble.due_s + LONGEST_PAUSE_S < now_s]:
             del self._troubles[key]
         if self._troubles:
             return self._cannot(now_s)
         if not self._said:
-            return None  # what failed too soon after the last line to be said counts for the next one
+            return None  # failures too soon after the last line count for the next one
         text = f"the journal can write again ({_times(self._failures)} in {now_s - self._since_s:.1f} s failed)"
         self._failures, self._said = 0, False
         return Saying("info", text)
@@ -96,7 +96,7 @@ class Troubles:
         first, self._said, self._said_s = not self._said, True, now_s
         reason = next(reversed(self._troubles.values())).reason
         if first and self._failures == 1:
-            return Saying("error", f"{reason}: it is tried again, first soon, then every {LONGEST_PAUSE_S:g} s")
+            return Saying("error", f"{reason}: it is retried, first soon, then every {LONGEST_PAUSE_S:g} s")
         return Saying("error", f"{reason}: {_times(self._failures)} in {now_s - self._since_s:.1f} s failed")
 
 
@@ -105,16 +105,16 @@ def _times(failures: int) -> str:
 
 
 Persisted = Callable[[], object]
-"""Called when the entry is on disk for good."""
+"""Called when the entry is on disk."""
 Failed = Callable[[str], None]
 """Called with the reason if it could not be written; the old entry may still be there, or the new one."""
 May = Callable[[], str]
-"""Returns why an entry may not be written now; empty: it may. Asked right before it is written."""
+"""Returns why an entry may not be written now; empty: it may. Called right before the write."""
 Say = Callable[[str, str], None]
 """Takes a level and a line for `log`."""
 
 SLOW_S: Final = 1.0
-"""An entry that has waited so long, in seconds, waits for a disk that does not answer."""
+"""After an entry has waited this long, in seconds, the disk counts as not answering."""
 
 
 class _Job(msgspec.Struct, eq=False):
@@ -130,7 +130,7 @@ class _Job(msgspec.Struct, eq=False):
         return self.entry.kind, self.entry.key
 
     def tell(self, reason: str) -> None:
-        """Make the call that is due, once; an empty reason means that the entry is on disk."""
+        """Call the callback that is due, once; an empty reason means that the entry is on disk."""
         if self.told:
             return
         self.told = True
@@ -141,15 +141,15 @@ class _Job(msgspec.Struct, eq=False):
 
 
 class RecordStore(ABC):
-    """Something that makes entries durable, in the order in which they come.
+    """Write entries to a journal in the order in which they come.
 
-    An entry that could not be written is left alone for a while when it comes again, at most for 5 s, and others go
-    before it: so a caller that tries again at once neither keeps the machine busy nor fills its log.
+    If an entry could not be written and comes again soon, it waits up to 5 s, and others go before it. So a caller that
+    retries at once neither keeps the machine busy nor fills its log.
 
     Args:
-        journal: the journal, which is the store's from now on, and is closed with it.
+        journal: the journal, which the store owns from now on and closes.
         now: the clock, in seconds.
-        say: told when the journal cannot write: once, then every 5 s at most, and once when it can again.
+        say: logs that the journal cannot write: once, then every 5 s at most, and once when it can again.
     """
 
     def __init__(self, journal: Journal, now: Callable[[], float], say: Say) -> None:
@@ -164,28 +164,28 @@ class RecordStore(ABC):
 
         Args:
             entry: what to write.
-            persisted: called once when it is on disk, after those of all earlier entries of its kind and key.
+            persisted: called once when it is on disk, after the callbacks of earlier entries of its kind and key.
             failed: called instead if it could not be written.
-            may: says whether it may be written once its turn has come; None: it may.
+            may: returns why it may not be written when its turn has come; None: it may.
         """
 
     @abstractmethod
     def trouble(self, kind: str, key: str) -> str:
-        """Say what keeps an entry from being written; empty: nothing that is known of. From any thread."""
+        """Return why an entry cannot be written now; empty: no known reason. From any thread."""
 
     def fault(self) -> str:
-        """Say why the journal cannot write now; empty: it can, as far as is known. From any thread."""
+        """Return why the journal cannot write now; empty: no known reason. From any thread."""
         return self._troubles.newest()
 
     @abstractmethod
     def close(self) -> None:
-        """Write what waits, make the calls that are due, and close the journal. Waits for that."""
+        """Write what waits, call the callbacks that are due, and close the journal. Waits for that."""
 
     def _write(self, batch: Sequence[_Job]) -> None:
-        """Write a batch, and make its calls; one entry at fault does not fail those that happened to wait with it.
+        """Write a batch, and call its callbacks. One bad entry does not fail the others in the batch.
 
         Raises:
-            JournalLost: nothing can be written any more; the calls of those that were not written are still to make.
+            JournalLost: nothing can be written any more; the callbacks of the rest are not called yet.
         """
         refused = [(job, why_not) for job in batch if job.may is not None and (why_not := job.may())]
         for job, why_not in refused:
@@ -219,23 +219,22 @@ class RecordStore(ABC):
 class ThreadedStore(RecordStore):
     """Write to a journal in a thread of its own, with group commit.
 
-    While one round of writing is under way others come in; they are written together in the next round, so
-    that twenty tasks that checkpoint at once cost two rounds and not twenty. The callbacks are made in the
-    store's thread, in order; they must not wait (an actor's callback puts a message in its own mailbox).
-    An entry that comes after `close` fails.
+    While one round of writing is in progress, others come in. They are written together in the next round, so twenty
+    tasks that checkpoint at once cost two rounds and not twenty. Callbacks run in the store's thread, in order. They
+    must not wait (an actor's callback puts a message in its own mailbox). An entry that comes after `close` fails.
 
-    The same thread, which may wait for a disk, looks whether the journal is still the one that was opened. Where it is
-    not, nothing is written any more, and all that waits fails.
+    The same thread, which may wait for a disk, checks that the journal is still the one that was opened. If it is not,
+    nothing is written any more, and all waiting entries fail.
 
     Args:
-        journal: the journal, which is the store's from now on, and is closed with it: read its entries
-            before. What it has read at its opening never changes.
+        journal: the journal, which the store owns from now on and closes: read its entries before. The values that it
+            read at its opening never change.
         name: name of the thread.
         now: the clock, in seconds.
-        say: told, in the store's thread, when the journal cannot write; see `RecordStore`.
-        lost: called once, in the store's thread, with what has happened, where the journal is not the one any more.
-        defer: runs a function at the end of the calling actor's turn, or at once outside of one: what one turn writes
-            down goes in one round.
+        say: called in the store's thread when the journal cannot write; see `RecordStore`.
+        lost: called once, in the store's thread, with the reason, if the journal is no longer the one that was opened.
+        defer: runs a function at the end of the calling actor's turn, or at once outside of a turn: all entries of one
+            turn go in one round.
     """
 
     def __init__(
@@ -321,7 +320,7 @@ class ThreadedStore(RecordStore):
         self._journal.close()
 
     def _next_batch(self) -> list[_Job] | None:
-        """Wait for jobs and return those that are due; none when the journal is to be looked at; None: it closes."""
+        """Wait for jobs and return those that are due; none if the journal must be checked; None: it closes."""
         look_s = self._journal.check_s
         with self._news:
             while True:
@@ -354,11 +353,11 @@ class VirtualStore(RecordStore):
     """Write to a journal in virtual time: without a thread, after a modelled delay.
 
     Args:
-        journal: the journal, which says how long a write takes; it is closed with the store.
-        call_later: runs a function in so many seconds of host time, such as a transport's; equal delays
-            in the order of the calls.
+        journal: the journal, which defines how long a write takes; the store closes it.
+        call_later: runs a function in a number of seconds of host time, such as a transport's; equal delays in the
+            order of the calls.
         now: the clock, in seconds.
-        say: told when the journal cannot write; see `RecordStore`.
+        say: logs that the journal cannot write; see `RecordStore`.
     """
 
     def __init__(
@@ -394,7 +393,7 @@ class VirtualStore(RecordStore):
         self._journal.close()
 
     def crash(self) -> None:
-        """End as a power cut does: what waits is never written, and no caller is told."""
+        """End as in a power cut: what waits is never written, and no callback is called."""
         self._jobs.clear()
         self._closed = True
         self._journal.close()

@@ -210,7 +210,7 @@ class Link:
         self._reader = FrameReader()
 
     def open(self, now_s: float) -> list[Action]:
-        """Begins; call it once, when the connection is open."""
+        """Begin. Call it once, when the connection is open."""
         return [] if self._answers else [self._send(self._own, now_s)]
 
     def due_s(self) -> float:

@@ -1,4 +1,4 @@
-"""Cause and effect: from a packet back to what led to it, across agents, with the time that each step took.
+"""Cause and effect: from a packet back to its causes, across agents, with the time of each step.
 
 `CommandChains` gives the commands to actuators, each with its chain. Pure, in bounded memory; agents use it live.
 """
@@ -16,7 +16,7 @@ from pancakes.packet import CTRL, Cause, Packet, agent_of, field_names
 from pancakes.recording.records import NANOSECONDS, RecordedPacket
 
 LONGEST: Final = 64
-"""No chain is followed further: a task that answers itself for ever would make one without an end."""
+"""The longest chain that is followed: a task that answers itself would make an endless one."""
 
 
 class ChainStep(msgspec.Struct, frozen=True):
@@ -25,10 +25,10 @@ class ChainStep(msgspec.Struct, frozen=True):
     Attributes:
         packet: the packet.
         time_ns: when it was first seen.
-        travel_s: how long it then took to the agent where it led to the next step; 0 if that was its own.
-        handling_s: the time from there to the next step: it waited, and was handled. 0 for the last.
-        sent: whether it was seen where it was published. Else no recorder ran there: it is known only from its arrival
-            on, and `travel_s` is 0.
+        travel_s: how long it took to the agent where it led to the next step; 0 if that was its own agent.
+        handling_s: the time from there to the next step, in a mailbox and in a handler; 0 for the last.
+        sent: whether it was recorded where it was published. If no recorder ran there, it is known only from its
+            arrival, and `travel_s` is 0.
     """
 
     packet: Packet
@@ -39,12 +39,12 @@ class ChainStep(msgspec.Struct, frozen=True):
 
     @property
     def name(self) -> str:
-        """The publisher and the packet type, which are the same for all steps of this kind."""
+        """The publisher and the packet type, common to all steps of this kind."""
         return f"{self.packet.source} {self.packet.type}"
 
 
 class Chain(msgspec.Struct, frozen=True):
-    """A packet with all that led to it, the first cause first.
+    """A packet with all its causes, the first cause first.
 
     Attributes:
         steps: the packets.
@@ -59,15 +59,15 @@ class Chain(msgspec.Struct, frozen=True):
 
     @property
     def shape(self) -> tuple[str, ...]:
-        """The publishers and packet types in order, which all chains of this kind have in common."""
+        """The publishers and packet types in order, common to all chains of this kind."""
         return tuple(step.name for step in self.steps)
 
 
 class Causes:
-    """Remember packets, and find the chain that a packet stands at the end of.
+    """Remember packets, and find the chain that ends with a packet.
 
     Args:
-        limit: so many packets are remembered; the oldest is forgotten.
+        limit: how many packets are remembered; the oldest is forgotten.
     """
 
     def __init__(self, limit: int = 1_000_000) -> None:
@@ -76,7 +76,7 @@ class Causes:
         self._seen_ns: dict[Cause, dict[str, int]] = {}
 
     def add(self, entry: RecordedPacket) -> None:
-        """Remember a packet and where it was seen; in the order of time."""
+        """Add a packet and where it was seen. Call it in the order of time."""
         packet = entry.packet
         key = (packet.source, packet.seq)
         if key not in self._packets:
@@ -116,13 +116,13 @@ class Causes:
 REMEMBERED: Final = 50_000
 """The number of packets that are remembered as causes of later ones."""
 HELD_NS: Final = NANOSECONDS
-"""A chain is followed this much later: where the clocks of two machines disagree, a cause may seem later."""
+"""A chain is followed this much later: if the clocks of two machines disagree, a cause may seem later."""
 BODY_CHARACTERS: Final = 160
-"""A packet's body is shown in so many characters."""
+"""At most this many characters of a packet's body are shown."""
 
 
 def chain_rows(chain: Chain) -> list[dict[str, Any]]:
-    """Return the steps of a chain as plain rows, but for their bodies; times in milliseconds.
+    """Return the steps of a chain as plain rows, without bodies; times in milliseconds.
 
     `at_ms` counts from the first step. `travel_ms` is None for a packet that no recorder saw where it was published.
     """
@@ -157,7 +157,7 @@ class ActuatorCommand(msgspec.Struct, frozen=True):
     Attributes:
         time_ns: when it was recorded, see `RecordedPacket`.
         packet: the command; its type names the actuator, its stamp is the mission time.
-        chain: what led to it; of one that answers nothing that is known, the command alone.
+        chain: what led to it; if no cause is known, only the command.
     """
 
     time_ns: int
@@ -171,17 +171,17 @@ class ActuatorCommand(msgspec.Struct, frozen=True):
 
     @property
     def caused(self) -> bool:
-        """Whether it answers a packet that is known: else a timer led to it, or nothing of its cause was recorded."""
+        """Whether its cause is known: otherwise a timer led to it, or its cause was not recorded."""
         return len(self.chain.steps) > 1
 
 
 class CommandChains:
-    """Take packets, and give the commands among them with their chains.
+    """Take packets, and return the commands among them with their chains.
 
     Args:
-        bodies: whether the packets of a chain bear what they said; that of the command always does. Without, less
-            memory is needed.
-        limit: so many packets are remembered.
+        bodies: whether to keep the bodies of the packets in a chain; that of the command is always kept. Without them,
+            less memory is needed.
+        limit: how many packets are remembered.
     """
 
     def __init__(self, bodies: bool = True, limit: int = REMEMBERED) -> None:
@@ -190,7 +190,7 @@ class CommandChains:
         self._waiting: deque[tuple[int, Packet]] = deque()
 
     def add(self, entry: RecordedPacket) -> list[ActuatorCommand]:
-        """Take a packet, in the order of time; return the commands of which all is known now, oldest first."""
+        """Take a packet, in the order of time; return the commands whose chains are now complete, oldest first."""
         packet = entry.packet
         kept = packet if self._bodies else msgspec.structs.replace(packet, body=None)
         self._causes.add(RecordedPacket(entry.time_ns, entry.agent, kept))
@@ -213,17 +213,17 @@ class CommandChains:
 
 
 def body_text(body: Any, longest: int = BODY_CHARACTERS) -> str:
-    """Return what a packet says in one short line."""
+    """Return the body of a packet as one short line."""
     items = _items(body)
     text = _value(body) if items is None else ", ".join(f"{name} {_value(value)}" for name, value in items)
     return text if len(text) <= longest else text[: longest - 1] + "…"
 
 
 def _items(value: Any) -> Iterable[tuple[Any, Any]] | None:
-    """Return the fields of a body, or of what is in one; None if it has none.
+    """Return the fields of a body, or of a part of one; None if it has none.
 
-    It reads the fields themselves: making plain values of a body first is slower, and agents do this for each command
-    while a page is open.
+    It reads the fields directly: first converting the body to plain values is slower, and agents do this for each
+    command while a web page is open.
     """
     if isinstance(value, Mapping):
         return value.items()

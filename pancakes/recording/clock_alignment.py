@@ -1,7 +1,7 @@
 """Times of a recording: one clock for the recordings of several agents, and mission time. Pure.
 
-An agent writes how its peers' clocks stand to its own. `Alignment` turns the times of all recordings into those of the
-first agent by name. `MissionTime` is 0 when the mission began.
+An agent records how its peers' clocks compare to its own. `Alignment` converts the times of all recordings to the clock
+of the first agent by name. `MissionTime` is 0 when the mission began.
 """
 
 from __future__ import annotations
@@ -20,22 +20,22 @@ from pancakes.recording.records import NANOSECONDS, RecordedPacket
 from pancakes.util.clock import SET_SINCE_S
 
 CLOCKS: Final = "pancakes.clocks"
-"""Name of the metadata records of a recording that tell how the clocks of its agent's peers stood to its own."""
+"""Name of the metadata records that compare the clocks of an agent's peers to its own."""
 READ_NS: Final = 20_000
-"""Two clocks of one machine are read so far apart."""
+"""The error when two clocks of one machine are compared."""
 HOST: Final = "host_ns"
 Shift = Callable[[int], int]
-"""Takes a time of one recording, and returns that moment as another one counts."""
+"""Takes a time of one recording, and returns it on the clock of another one."""
 
 
 class ClockNote(msgspec.Struct, frozen=True):
-    """How a peer's host clock stood to that of the agent that recorded, once.
+    """How a peer's host clock compared to that of the recording agent, at one moment.
 
     Attributes:
-        host_ns: when, on the clock of the agent that recorded.
-        offset_ns: how far the peer's was ahead.
-        bound_ns: the truth lies no further from it.
-        drift: how much the peer's gained in each second.
+        host_ns: when, on the clock of the recording agent.
+        offset_ns: how far the peer's clock was ahead.
+        bound_ns: the error of `offset_ns` is at most this.
+        drift: how much the peer's clock gained in each second.
     """
 
     host_ns: int
@@ -45,14 +45,14 @@ class ClockNote(msgspec.Struct, frozen=True):
 
 
 class ClockLife(msgspec.Struct):
-    """One life of an agent, as a recording tells of it.
+    """One life of an agent, from its recording.
 
     Attributes:
-        life: what names it.
+        life: its name.
         agent: the agent.
-        epoch_ns: what its recording says at 0 of its host clock.
-        host_ns: when its recording began, on that clock, or last took the time of day from its machine.
-        notes: what it knew of others, by their life, in order.
+        epoch_ns: the time of its recording at 0 of its host clock.
+        host_ns: when its recording began, or last took the time of day from its machine, on the host clock.
+        notes: what it knew of other clocks, by their life, in order.
     """
 
     life: str
@@ -63,7 +63,7 @@ class ClockLife(msgspec.Struct):
 
     @classmethod
     def of(cls, about: Mapping[str, str]) -> ClockLife | None:
-        """Make one of what a recorder wrote about its recording; None: that is older, and has no word about clocks."""
+        """Make one from the metadata of a recording; None: an older recording, without facts about clocks."""
         try:
             return cls(about["life"], about["agent"], int(about["epoch_ns"]), int(about.get("host_ns", "0")))
         except (KeyError, ValueError):
@@ -71,16 +71,16 @@ class ClockLife(msgspec.Struct):
 
     @property
     def key(self) -> str:
-        """Names the times of this recording: another one of this life may count from another moment."""
+        """The name of this recording's clock: another recording of this life may count from another moment."""
         return f"{self.life} {self.epoch_ns}"
 
     @property
     def is_dated(self) -> bool:
-        """Whether the clock of its machine was set: else its times of day are those of 1970."""
+        """Whether the clock of its machine was set: otherwise its dates are in 1970."""
         return self.epoch_ns + self.host_ns >= SET_SINCE_S * NANOSECONDS
 
     def take(self, row: Mapping[str, str]) -> None:
-        """Take a metadata record that `row_of` has made; what is no such thing is left out."""
+        """Take a metadata record that `row_of` made; invalid values are left out."""
         try:
             host_ns = int(row[HOST])
             for life, told in row.items():
@@ -92,11 +92,11 @@ class ClockLife(msgspec.Struct):
 
 
 def row_of(host_s: float, links: Iterable[Mapping[str, object]]) -> dict[str, str]:
-    """Return a metadata record of how clocks stand; empty if nothing is known.
+    """Return a metadata record that compares clocks; empty if nothing is known.
 
     Args:
         host_s: the host time.
-        links: what the mesh says of each link, see `Mesh.links`.
+        links: the description of each link, see `Mesh.links`.
     """
     row = {}
     for link in links:
@@ -108,7 +108,7 @@ def row_of(host_s: float, links: Iterable[Mapping[str, object]]) -> dict[str, st
 
 
 class Alignment:
-    """What turns the times of each recording into those of one of them, which is that of the first agent by name.
+    """Convert the times of all recordings to the clock of one of them, that of the first agent by name.
 
     A machine may learn the time of day while it records, so that a life has several; the newest counts.
 
@@ -116,7 +116,7 @@ class Alignment:
         lives: the lives that were recorded.
 
     Attributes:
-        shifts: by the key of the life; if there is none, the times stay.
+        shifts: by the key of the life; times of lives without one are not changed.
         remarks: sentences on what was moved.
     """
 
@@ -137,7 +137,7 @@ class Alignment:
             self._date(life, newest[life.life])
 
     def _date(self, life: ClockLife, newest: ClockLife) -> None:
-        """Move what was recorded before the machine learnt the time of day."""
+        """Correct the times of what was recorded before the machine got the time of day."""
         moved_ns = newest.epoch_ns - life.epoch_ns
         if not moved_ns:
             return
@@ -149,7 +149,7 @@ class Alignment:
             self.remarks.append(f"the times of {life.agent} before its clock was set were moved by {far}")
 
     def _spread(self, first: ClockLife, left: list[ClockLife]) -> None:
-        """Align all that are known to the first one, or to one that is, the best known first."""
+        """Align all lives whose offset to an aligned one is known, the best known first."""
         reached = [first]
         while True:
             pairs = [(bound, one, other) for one in reached for other in left if (bound := _bound_ns(one, other))]
@@ -178,17 +178,17 @@ def _stay(time_ns: int) -> int:
 
 
 def _bound_ns(one: ClockLife, other: ClockLife) -> int:
-    """Return how well two lives know each other's clock at best; 0: they do not."""
+    """Return the smallest bound on the offset of two lives' clocks; 0: it is not known."""
     notes = [*one.notes.get(other.life, ()), *other.notes.get(one.life, ())]
     return max(1, min(note.bound_ns for note in notes)) if notes else 0
 
 
 def _shift(one: ClockLife, other: ClockLife) -> tuple[Shift, int]:
-    """Return what turns times of `other` into those of `one`, and by how much that moves them at most."""
+    """Return the function that converts times of `other` to those of `one`, and its largest shift."""
     own, theirs = one.notes.get(other.life, []), other.notes.get(one.life, [])
     if theirs and (not own or min(it.bound_ns for it in theirs) <= min(it.bound_ns for it in own)):
         notes = [(note.host_ns, note.offset_ns, note.drift) for note in theirs]
-    else:  # told from the other side
+    else:  # recorded by the other side
         notes = [(note.host_ns + note.offset_ns, -note.offset_ns, -note.drift) for note in own]
     starts = [host_ns for host_ns, _, _ in notes]
     away_ns = one.epoch_ns - other.epoch_ns
@@ -207,15 +207,15 @@ def _shift(one: ClockLife, other: ClockLife) -> tuple[Shift, int]:
 
 
 AGREE_NS: Final = NANOSECONDS
-"""Missions of agents that were begun together may have begun this far apart, in host time."""
+"""Missions that were begun together may differ by this, in host time."""
 ENOUGH: Final = 20
 """At most this many packets are compared: each is seen a moment after its stamp, and the shortest delay counts."""
 MOST: Final = 20_000
-"""At most so many packets are looked at."""
+"""At most this many packets are examined."""
 
 
 def speed_of(about: Mapping[str, str]) -> float:
-    """Return the mission seconds for each second of host time, as a recorder wrote it; 1 if that is no number."""
+    """Return the mission seconds for each second of host time, as a recorder wrote it; 1 if that is not a number."""
     try:
         speed = float(about["speed"])
     except (KeyError, ValueError):
@@ -225,13 +225,13 @@ def speed_of(about: Mapping[str, str]) -> float:
 
 @dataclass(frozen=True)
 class MissionTime:
-    """What turns a recording's time into mission time.
+    """Convert a recording's time to mission time.
 
     Attributes:
-        zero_ns: when the mission began, as the recording counts time.
+        zero_ns: when the mission began, on the recording's clock.
         speed: mission seconds for each second of the recording.
-        known: whether it is the mission's time; otherwise seconds since the recording began: the agents' missions did
-            not begin together, or not at all.
+        known: whether it is the mission's time; otherwise it is seconds since the recording began, because the agents'
+            missions did not begin together, or not at all.
     """
 
     zero_ns: int = 0
@@ -244,14 +244,14 @@ class MissionTime:
 
     @property
     def name(self) -> str:
-        """What this time is called."""
+        """The name of this time."""
         return "mission time" if self.known else "time since the recording began"
 
     @classmethod
     def of(cls, files: Iterable[tuple[Mapping[str, str], Iterable[RecordedPacket]]]) -> MissionTime:
         """Find the mission time of a recording.
 
-        Where an agent was started again its clock began from scratch; what counts is its first life.
+        If an agent was restarted, its clock began again; its first life counts.
 
         Args:
             files: of each file what its recorder wrote about it, complete once its first packet has been taken, and

@@ -1,4 +1,4 @@
-"""What viewers draw without being told how, in the schemas that Foxglove knows by name.
+"""Make messages that viewers draw without configuration, in the schemas that Foxglove knows by name.
 
 | packet | schema and topic, below `/viewer/AGENT` |
 |---|---|
@@ -25,14 +25,14 @@ from pancakes.recording.records import NANOSECONDS, RecordedPacket
 from pancakes.util import codecs
 
 SHOWN: Final = ("event", "ir", "line", "pose", "sonar", "world_state")
-"""The packet types of which something is shown."""
+"""The packet types that are shown."""
 FRAME: Final = "world"
 TRAIL: Final = 300
 """The number of poses in a path."""
 TRAIL_NS: Final = 10 * NANOSECONDS
 """How often a path is written."""
 SHOWN_NS: Final = NANOSECONDS // 10
-"""How often anything is shown at most: an eye sees no more, and the packets themselves are all in the recording."""
+"""The highest rate of shown messages: the eye sees no more, and the recording has all packets anyway."""
 STEP_DEG: Final = 3
 """The angle between two values of a scan: 121 of them all around."""
 LEVELS: Final = {"debug": 1, "info": 2, "warning": 3, "error": 4}
@@ -42,7 +42,7 @@ GREY: Final = (0.5, 0.5, 0.5)
 
 
 class ViewerMessage(NamedTuple):
-    """A message in the schema of a viewer; the arguments of `RecordingWriter.add`."""
+    """A message in the schema of a viewer: the arguments of `RecordingWriter.add`."""
 
     topic: str
     schema_name: str
@@ -52,7 +52,7 @@ class ViewerMessage(NamedTuple):
 
 
 class Viewer:
-    """Make viewer messages of packets, see the table of this module; in one thread."""
+    """Make viewer messages from packets, see the table of this module. In one thread."""
 
     def __init__(self) -> None:
         self._trails: dict[str, deque[dict[str, Any]]] = {}
@@ -60,10 +60,10 @@ class Viewer:
         self._shown_ns: dict[str, int] = {}
 
     def messages(self, entry: RecordedPacket) -> Iterator[ViewerMessage]:
-        """Give what a viewer shows of a packet."""
+        """Yield the viewer messages for a packet."""
         packet = entry.packet
         if isinstance(packet.body, Mapping) or packet.type not in SHOWN:
-            return  # of a type that is not known here, or not shown
+            return  # of a type that is unknown here, or not shown
         if packet.type == "world_state":
             if self._is_due(entry):
                 yield _scene(entry)
@@ -79,7 +79,7 @@ class Viewer:
 
     def _is_due(self, entry: RecordedPacket) -> bool:
         source, time_ns = entry.packet.source, entry.time_ns
-        # A tenth of tolerance: a packet of ten a second is a little early now and then.
+        # A tenth of tolerance: packets at 10 Hz are sometimes a little early.
         if time_ns - self._shown_ns.get(source, -SHOWN_NS) < SHOWN_NS * 9 // 10:
             return False
         self._shown_ns[source] = time_ns
@@ -179,12 +179,12 @@ def scan(
 
     Args:
         bearings_rad: the direction of each sensor, in the frame of the body.
-        ranges_m: what each of them sees, from its edge.
-        max_range_m: the full range, which a sensor says that sees nothing.
+        ranges_m: the reading of each, from the edge of the body.
+        max_range_m: the full range, the reading of a sensor that sees nothing.
 
     Returns:
-        The first angle in whole degrees, and for each step of `STEP_DEG` from there the range and the intensity: 1
-        where a sensor sees something; 0, at the full range, if none does or none looks.
+        The first angle in whole degrees, and for each step of `STEP_DEG` from there the range and the intensity: 1 if a
+            sensor sees something; 0, at the full range, if none does or none looks there.
 
     Raises:
         ValueError: there are not as many ranges as bearings.
@@ -206,10 +206,10 @@ def _message(topic: str, name: str, time_ns: int, plain: Mapping[str, Any]) -> V
 
 @cache
 def _schemas() -> dict[str, dict[str, Any]]:
-    """Return the schemas by the names under which Foxglove finds them: https://docs.foxglove.dev/docs/sdk/schemas.
+    """Return the schemas by their names in Foxglove: https://docs.foxglove.dev/docs/sdk/schemas.
 
-    They are published in https://github.com/foxglove/foxglove-sdk, schemas/jsonschema. Of what is always empty here
-    the file has the name alone.
+    They are published in https://github.com/foxglove/foxglove-sdk, schemas/jsonschema. Of fields that are always empty
+    here, the file has only the name.
     """
     return codecs.json_decoder()(resources.files("pancakes.recording").joinpath("static/foxglove.json").read_text())
 

@@ -18,18 +18,18 @@ from pancakes.util.files import check_plain
 from pancakes.util.runtime_dir import is_locked
 
 MOST_BYTES: Final = 128 << 20
-"""No record of a file is larger, and no chunk once it is unpacked: packets have 16 MiB at the most."""
+"""The largest record of a file, and the largest unpacked chunk: packets have at most 16 MiB."""
 READ_ERRORS: Final = (McapError, ValueError, KeyError, OverflowError, OSError, struct.error)
-"""What reading a file raises that was cut off, torn, or never a recording."""
+"""The errors of reading a file that was cut off, is torn, or was never a recording."""
 
 
 @dataclass
 class Damage:
-    """What lies between records that can be read, and cannot be read itself.
+    """Unreadable parts between readable records.
 
     Attributes:
-        chunks: how many chunks.
-        size_bytes: how large they are.
+        chunks: the number of chunks.
+        size_bytes: their size.
     """
 
     chunks: int = 0
@@ -37,10 +37,10 @@ class Damage:
 
 
 def records_of(file: BinaryIO, damage: Damage) -> Iterator[McapRecord]:
-    """Give the records of a file, those in chunks as well. A chunk that is damaged is left out and counted.
+    """Yield the records of a file, also those in chunks. A damaged chunk is left out and counted.
 
     Raises:
-        READ_ERRORS: here it ends, whole or not.
+        READ_ERRORS: the file ends here, complete or not.
     """
     for record in StreamReader(file, emit_chunks=True, validate_crcs=True, record_size_limit=MOST_BYTES).records:
         if not isinstance(record, Chunk):
@@ -48,7 +48,7 @@ def records_of(file: BinaryIO, damage: Damage) -> Iterator[McapRecord]:
             continue
         try:
             inside = breakup_chunk(_unpacked(record), validate_crc=True)
-        except Exception:  # whatever a decompressor raises; the next chunk can be read all the same
+        except Exception:  # a decompressor may raise anything; the next chunk can still be read
             damage.chunks += 1
             damage.size_bytes += len(record.data)
         else:
@@ -56,11 +56,11 @@ def records_of(file: BinaryIO, damage: Damage) -> Iterator[McapRecord]:
 
 
 def _unpacked(chunk: Chunk) -> Chunk:
-    """Return a chunk without compression, whatever it says of its own size: a few bytes may stand for gigabytes.
+    """Return a chunk without compression. Its stated size is not trusted: a few bytes may expand to gigabytes.
 
     Raises:
-        ValueError: it is larger than any chunk that is written.
-        Exception: whatever a decompressor raises.
+        ValueError: it is larger than any chunk that a recorder writes.
+        Exception: a decompressor may raise anything.
     """
     if chunk.uncompressed_size > MOST_BYTES:
         raise ValueError(f"a chunk of {chunk.uncompressed_size} bytes")
@@ -81,7 +81,7 @@ def _unpacked(chunk: Chunk) -> Chunk:
 
 
 def metadata_of(file: BinaryIO) -> Iterator[Metadata]:
-    """Give the metadata records of a file as far as it is whole; what is between them is not looked at."""
+    """Yield the metadata records of a file up to its damaged part; other records are skipped."""
     with suppress(*READ_ERRORS):
         for record in StreamReader(file, emit_chunks=True, record_size_limit=MOST_BYTES).records:
             if isinstance(record, Metadata):
@@ -102,7 +102,7 @@ def opened(path: Path) -> BinaryIO:
 
 
 def is_being_written(file: BinaryIO) -> bool:
-    """Return whether a recorder has this file open: it locks what it writes, for as long as it lives."""
+    """Return whether a recorder has this file open: it locks the file while it runs."""
     with suppress(OSError):  # this file system knows no locks
         return is_locked(file)
     return False

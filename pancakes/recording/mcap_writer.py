@@ -23,28 +23,28 @@ from pancakes.recording.records import RecordedPacket, RecordingError
 from pancakes.util.files import is_still_at
 
 CHUNK_BYTES: Final = 128 * 1024
-"""A chunk ends once its messages are larger. Ending one costs as much as ten messages."""
+"""A chunk ends once its messages are larger than this. Ending one costs as much as ten messages."""
 LIBRARY: Final = f"pancakes {__version__}"
 METADATA: Final = "pancakes"
 FORMAT: Final = 1
-"""Of recordings: a later version of Pancakes that writes them otherwise has a higher one, and reads this."""
+"""The format of recordings: a later version of Pancakes with another format has a higher number, and reads this one."""
 
 
 class RecordingWriter:
-    """One file that is being written. In one thread.
+    """Write one file of a recording. In one thread.
 
     Its chunks are compressed to a fifth. Once writing has failed, the file ends without an index, like the file of an
     agent that was killed.
 
     Args:
-        path: where; must not be there yet.
-        about: what is to be known about the recording, such as `agent` and `clock`.
+        path: where; the file must not exist yet.
+        about: the metadata of the recording, such as `agent` and `clock`.
 
     Attributes:
-        path: where.
+        path: the file.
 
     Raises:
-        OSError: the file cannot be made.
+        OSError: the file cannot be created.
     """
 
     def __init__(self, path: Path, about: Mapping[str, str]) -> None:
@@ -58,8 +58,8 @@ class RecordingWriter:
             self._mcap.add_metadata(METADATA, {**about, "format": str(FORMAT), "version": __version__})
             self._file.flush()  # an agent that is killed now leaves a recording that can be read
         except OSError:
-            path.unlink()  # it cannot be read
-            with suppress(OSError):  # the first error says it already
+            path.unlink()  # it would not be readable
+            with suppress(OSError):  # the first error is the one to report
                 self._file.close()
             raise
         self._has_failed = False
@@ -74,17 +74,17 @@ class RecordingWriter:
         """Add a packet.
 
         Raises:
-            LocalProtocolError: it cannot be recorded; the file is as it was.
-            OSError: the disk is full, ...
+            LocalProtocolError: it cannot be recorded; the file is unchanged.
+            OSError: the disk is full, or another write error
         """
         packet = entry.packet
         data = data_of(packet)
         channel = self._packet_channels.get((entry.agent, packet.channel, packet.type)) or self._channel(entry)
-        # Published and recorded at the same moment, as far as is known: the stamp is of the mission's clock.
+        # The publish time is unknown, because the stamp is on the mission clock: the log time stands for it.
         self._add_message(channel, entry.time_ns, data, packet.seq & 0xFFFFFFFF)
 
     def add(self, topic: str, schema_name: str, schema: Mapping[str, object], time_ns: int, data: bytes) -> None:
-        """Add a message that is no packet, such as a pose in the schema of a viewer.
+        """Add a message that is not a packet, such as a pose in the schema of a viewer.
 
         Raises:
             OSError: the disk is full, ...
@@ -104,11 +104,11 @@ class RecordingWriter:
         self._mcap.add_metadata(name, dict(row))
 
     def is_there(self) -> bool:
-        """Return whether what is written still is the file of its name."""
+        """Return whether the file still has its name."""
         return is_still_at(self._file.fileno(), self.path)
 
     def is_truncated(self) -> bool:
-        """Return whether another program has made the file shorter. Nothing is written to it from then on."""
+        """Return whether another program has truncated the file. Nothing is written to it from then on."""
         if self._left_bytes is None:
             size = os.fstat(self._file.fileno()).st_size
             if size < self._flushed_bytes:
@@ -116,18 +116,18 @@ class RecordingWriter:
         return self._left_bytes is not None
 
     def size_bytes(self) -> int:
-        """Return how large the file was after the last `flush`."""
+        """Return the size of the file after the last `flush`."""
         return self._file.tell()
 
     def flush(self) -> None:
-        """Give all that was written to the operating system: that is not lost where this process is killed.
+        """Pass everything written to the operating system: it survives a kill of this process.
 
         Raises:
             OSError: the disk is full, ...
         """
         self._chunk_bytes = 0
         if self.is_truncated():
-            return  # behind what is left, there would be a hole
+            return  # a hole would follow what is left
         try:
             self._mcap.flush()
             self._flushed_bytes = self._file.tell()
@@ -136,7 +136,7 @@ class RecordingWriter:
             raise
 
     def sync(self) -> None:
-        """Bring what was flushed to the disk: that is not lost where the power goes. It may take long.
+        """Bring flushed data to the disk: it survives a power cut. It may take long.
 
         Raises:
             OSError: the disk is full, ...
@@ -144,9 +144,9 @@ class RecordingWriter:
         os.fsync(self._file.fileno())
 
     def close(self) -> None:
-        """Write the index and close the file, if that was not done yet."""
+        """Write the index and close the file, if it is still open."""
         if self._file.closed:
-            return  # the next file could not be begun
+            return  # the next file could not be created
         try:
             if not self._has_failed and not self.is_truncated():
                 self._mcap.finish()
@@ -155,7 +155,7 @@ class RecordingWriter:
         finally:
             self._file.close()
             if self._left_bytes is not None and self.path.exists():
-                os.truncate(self.path, self._left_bytes)  # what was noted since then lay behind a hole
+                os.truncate(self.path, self._left_bytes)  # what was written since then is behind a hole
 
     def _add_message(self, channel: int, time_ns: int, data: bytes, sequence: int) -> None:
         self._mcap.add_message(channel, time_ns, data, time_ns, sequence)
@@ -177,7 +177,7 @@ class RecordingWriter:
 
 MIB: Final = 1 << 20
 SYNC_BYTES: Final = 8 * MIB
-"""The most that is given to the operating system before it is brought to the disk."""
+"""At most this much is passed to the operating system before it is brought to the disk."""
 SUFFIX: Final = ".mcap"
 
 
@@ -185,20 +185,20 @@ class RecordingParts:
     """Write a recording into one file after the other: `NAME.mcap`, `NAME.002.mcap`, ...
 
     Args:
-        path: the first file. Where it is there already, a number is added to the name: nothing is overwritten.
+        path: the first file. If it exists, a number is added to the name: nothing is overwritten.
         about: see `RecordingWriter`.
-        split_mib: a new file begins if one has grown this large.
-        limit_mib: how large all of them may become; 0 for no limit.
-        drop_oldest: whether the oldest file goes at the limit; otherwise the recording ends.
-        free_mib: so much of the disk stays free.
-        goes_on: whether a recording that has ended goes on: its files are left alone, and the next one begins.
+        split_mib: a new file begins when one has this size.
+        limit_mib: the largest size of all files together; 0: no limit.
+        drop_oldest: whether the oldest file is removed at the limit; otherwise the recording ends.
+        free_mib: how much of the disk must stay free.
+        goes_on: whether to continue an ended recording: its files stay, and the next one begins.
 
     Attributes:
         first: the path of the first file.
         moved: a sentence on each file that another program has moved, removed or truncated while it was written.
 
     Raises:
-        RecordingError: nothing can be written there, or too little is free on the disk.
+        RecordingError: the file cannot be written, or too little is free on the disk.
     """
 
     def __init__(
@@ -239,7 +239,7 @@ class RecordingParts:
         self._writer.write(entry)
 
     def add(self, topic: str, schema_name: str, schema: Mapping[str, object], time_ns: int, data: bytes) -> None:
-        """Add a message that is no packet; see `RecordingWriter.add`."""
+        """Add a message that is not a packet; see `RecordingWriter.add`."""
         self._writer.add(topic, schema_name, schema, time_ns, data)
 
     def note(self, name: str, row: Mapping[str, str]) -> None:
@@ -247,7 +247,7 @@ class RecordingParts:
         self._writer.note(name, row)
 
     def flush(self) -> str:
-        """Give everything to the operating system, and begin a new file where it is time to.
+        """Pass everything to the operating system, and begin a new file if it is time.
 
         Returns:
             Why the recording must end; empty if it may go on.
@@ -271,7 +271,7 @@ class RecordingParts:
         return ""
 
     def begin_again(self, about: Mapping[str, str]) -> Path:
-        """Go on in a new file, of which something else is to be known; return that file.
+        """Continue in a new file with other metadata; return the file.
 
         Raises:
             OSError: the disk is full, ...
@@ -282,7 +282,7 @@ class RecordingParts:
         return self._writer.path
 
     def sync(self) -> str:
-        """Bring what was flushed to the disk, and look how much room is left there. It may take long.
+        """Bring flushed data to the disk, and check how much room is left there. It may take long.
 
         Returns:
             Why the recording must end; empty if it may go on.
@@ -303,14 +303,14 @@ class RecordingParts:
         self._writer.close()
 
     def _lacking(self) -> str:
-        """Say what the disk lacks; empty: nothing."""
+        """Return what the disk lacks; empty: nothing."""
         disk = os.statvfs(self.first.parent)
         free_bytes = disk.f_bavail * disk.f_frsize
         if free_bytes >= self._free_bytes:
             return ""
         return (
             f"less than {self._free_bytes / MIB:g} MiB are free on the disk of {self.first.parent}"
-            f" ({free_bytes / MIB:.0f} MiB; free_mib of [record] says how much is to stay free)"
+            f" ({free_bytes / MIB:.0f} MiB; free_mib of [record] sets how much must stay free)"
         )
 
     def _size_bytes(self) -> int:
@@ -321,11 +321,11 @@ class RecordingParts:
         number = part_number(path) + 1
         why = "" if is_there else "was moved or removed by another program"
         if is_there and self._writer.is_truncated():
-            why = "was truncated by another program, and the last second of what was said is lost with it"
+            why = "was truncated by another program, and its last second is lost"
         self._writer.close()
         if is_there:
             self._done.append((path, path.stat().st_size))
-        self.first.parent.mkdir(parents=True, exist_ok=True)  # it may have been moved as well
+        self.first.parent.mkdir(parents=True, exist_ok=True)  # the folder may have been moved too
         self._writer = RecordingWriter(part_path(self.first, number), self._about)
         if why:
             self.moved.append(f"{path} {why}: the recording goes on in {self._writer.path}")
@@ -343,12 +343,12 @@ def part_number(path: Path) -> int:
 
 
 def first_name(path: Path) -> str:
-    """Return the name of the first file of the recording that a file is a part of."""
+    """Return the name of the first file of a recording, given any of its parts."""
     return re.sub(r"\.\d{3,}\.mcap$", SUFFIX, path.name)
 
 
 def parts_of(first: Path) -> list[Path]:
-    """Return the parts of a recording that are there, in their order, given the path of the first."""
+    """Return the existing parts of a recording, in order, given the path of the first."""
     stem = re.escape(first.name.removesuffix(SUFFIX))
     pattern = re.compile(rf"{stem}\.\d{{3,}}\.mcap")
     later = [path for path in first.parent.glob(f"*{SUFFIX}") if pattern.fullmatch(path.name)]
@@ -356,10 +356,10 @@ def parts_of(first: Path) -> list[Path]:
 
 
 def _unused(path: Path) -> Path:
-    """Return a path beside this one at which nothing is, nor a later part of a recording whose first is gone.
+    """Return an unused path like this one, also without later parts of a recording whose first part is gone.
 
     Raises:
-        OSError: it is no path, or nothing may be looked up there.
+        OSError: it is not a path, or its folder cannot be read.
     """
     stem = path.name.removesuffix(SUFFIX)
     number = 1

@@ -1,8 +1,8 @@
-"""One packet as a message of a recording: its data as JSON and back, and its schema in words that viewers understand.
+"""One packet as a message of a recording: its data as JSON and back, and its schema in terms that viewers understand.
 
 Foxglove makes a table of a message's fields from its schema. It wants a `type` for each field, `properties` for each
 object and `items` for each array, and gives up a whole topic if it finds a reference, a choice or an array of arrays.
-What cannot be said in these words is left out of the schema; the messages have it all the same.
+What cannot be expressed this way is left out of the schema; the messages still have it.
 """
 
 from __future__ import annotations
@@ -23,23 +23,23 @@ from pancakes.util.codecs import MALFORMED, why_malformed
 from pancakes.util.schema import schema_of
 
 SCHEMAS: Final = "pancakes."
-"""What the names of the schemas of packets begin with."""
+"""The prefix of the names of packet schemas."""
 _SIMPLE: Final = {"boolean": bool, "string": str, "integer": int, "number": float}
 _KEPT: Final = ("title", "description", "default")
 
 
 def schema_for(type_name: str) -> dict[str, Any]:
-    """Return the JSON Schema of the messages of one packet type; of a type that is unknown here, of any body."""
+    """Return the JSON Schema of the messages of one packet type; for an unknown type, of any body."""
     cls = body_class(type_name)
     try:
         told: dict[str, Any] = schema_of(cls) if cls is not None else {}
-    except (TypeError, NameError):  # JSON Schema has no word for a part of it, or it is imported for checks only
+    except (TypeError, NameError):  # JSON Schema cannot express it, or a part is imported only for type checks
         told = {}
     body = viewable(told, told.get("$defs", {}))
     return {
         "title": SCHEMAS + type_name,
         "description": (
-            "A packet. Besides what is said here it has `cause`, the source and number of the packet that led to it,"
+            "A packet. Besides these fields it has `cause`, the source and number of the packet that led to it,"
             " and `fence`, the identity and epoch of the task that published it; both may be null."
         ),
         "type": "object",
@@ -60,14 +60,14 @@ def schema_for(type_name: str) -> dict[str, Any]:
 def viewable(
     schema: Mapping[str, Any], definitions: Mapping[str, Any], inside: tuple[str, ...] = ()
 ) -> dict[str, Any] | None:
-    """Return a schema in the words that viewers understand; None if it cannot be said in them.
+    """Return a schema in terms that viewers understand; None if it cannot be expressed.
 
-    What may be missing (null) is described as what it is where it is there.
+    A value that may be missing (null) is described by its type when it is present.
 
     Args:
         schema: a schema, as msgspec makes it.
         definitions: what it refers to, by name.
-        inside: the names of the definitions that it stands in: what contains itself cannot be written out.
+        inside: the names of the definitions around it: a type that contains itself cannot be expanded.
     """
     reference = schema.get("$ref")
     if reference is not None:
@@ -100,7 +100,7 @@ def _kept(schema: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _kind_of(values: Any) -> str:
-    """Return the type of all values that a field may have; empty if they have several."""
+    """Return the common type of all values that a field may have; empty if there are several types."""
     return next((kind for kind, cls in _SIMPLE.items() if values and all(type(it) is cls for it in values)), "")
 
 
@@ -112,7 +112,7 @@ def _item_of(schema: Mapping[str, Any]) -> Mapping[str, Any]:
 
 
 class _Row(msgspec.Struct, omit_defaults=True, gc=False):
-    """The data of a message. A structure takes half as long to make and to encode as a mapping."""
+    """The data of a message. A structure takes half as long to create and encode as a mapping."""
 
     source: str
     destination: str
@@ -127,9 +127,9 @@ class _Row(msgspec.Struct, omit_defaults=True, gc=False):
 def data_of(packet: Packet) -> bytes:
     """Return a packet as JSON, the data of a message.
 
-    What JSON cannot express (arrays, infinity and NaN, bytes where the class does not say so) is written as well as it
-    goes, and the packet is added as it travels between agents, in the field `exact`. What does not travel either, such
-    as a date in a field of any type, is written as well as it goes, if that can be read again.
+    What JSON cannot express (arrays, infinity and NaN, bytes where the class does not say so) is approximated, and the
+    packet is added in its wire format, in the field `exact`. A body that has no wire format either, such as a date in a
+    field of any type, is approximated if that can be read again.
 
     Raises:
         LocalProtocolError: its body cannot be recorded.
@@ -137,30 +137,30 @@ def data_of(packet: Packet) -> bytes:
     row = _Row(packet.source, packet.destination, packet.stamp, packet.seq, packet.cause, packet.fence, packet.body)
     try:
         data = codecs.encode_json(row)
-    except Exception:  # what is in a body may run code of its own where it is encoded
+    except Exception:  # a body may run its own code when it is encoded
         return _exact_data(row, packet)
     return data if _holds_body(data, packet.body) else _exact_data(row, packet)
 
 
 def _holds_body(data: bytes, body: Any) -> bool:
-    """Return whether the data of a message says all about the body of its packet."""
+    """Return whether the data of a message contains the whole body of its packet."""
     cls: type = type(body)
     decode = _decode_of(cls)
     if decode is None:
         return False
     try:
         return bool(decode(data).body == body)
-    except Exception:  # a class may run code of its own where it is made, and where it is compared
+    except Exception:  # a class may run its own code when it is created and compared
         return False
 
 
 @cache
 def _decode_of(cls: type) -> Callable[[bytes], Any] | None:
-    """Return what makes something with the body of a class of a message's data; None if that cannot be."""
+    """Return a decoder of message data with a body of this class; None if there cannot be one."""
     try:
         alone: Any = msgspec.defstruct("_BodyAlone", [("body", cls if has_fields(cls) else Any)])
         decode: Callable[[bytes], Any] = codecs.json_decoder(alone)
-    except Exception:  # a class may name a type that is imported for checks only, or be one that msgspec cannot make
+    except Exception:  # a class may name a type that is imported only for type checks, or that msgspec cannot create
         return None
     return decode
 
@@ -188,10 +188,10 @@ _ONE_MESSAGE: Final = b"\x91"  # the head of a msgpack array of one
 
 
 def packet_from_data(channel: str, type_name: str, data: bytes) -> Packet:
-    """Make a packet of the data of a message; its body becomes the registered dataclass, if there is one.
+    """Make a packet from the data of a message; its body becomes the registered class, if there is one.
 
     Raises:
-        RemoteProtocolError: it is no packet, or the body does not fit its type.
+        RemoteProtocolError: it is not a packet, or the body does not fit its type.
     """
     try:
         row = _READ(data)
@@ -209,9 +209,9 @@ def packet_from_data(channel: str, type_name: str, data: bytes) -> Packet:
 
 
 def packet_from_bytes(data: bytes) -> Packet:
-    """Make a packet of the bytes in which it travels alone, as `encode_packet` makes them.
+    """Make a packet from bytes that `encode_packet` made.
 
     Raises:
-        RemoteProtocolError: it is no packet, or the body does not fit its type.
+        RemoteProtocolError: it is not a packet, or the body does not fit its type.
     """
     return packet_from_row(rows_from_payload(_ONE_MESSAGE + data)[0])

@@ -46,15 +46,15 @@ from pancakes.util.text import printable
 
 @dataclass
 class FileReading:
-    """What was found while a file was read; complete once its entries have been taken.
+    """What was found in a file; complete once all its entries were read.
 
     Attributes:
         path: the file.
         about: what the recorder wrote about the recording.
-        cut: why it could not be read to its end; empty if it could.
-        damage: what could not be read before that.
-        strange: sentences on messages that are no packets any more, such as of a type that has changed, and how often
-            each has.
+        cut: why its end could not be read; empty if it could.
+        damage: what could not be read before its end.
+        strange: sentences on messages that are not packets any more, such as those of a changed type, and how often
+            each occurred.
     """
 
     path: Path
@@ -73,13 +73,13 @@ class RecordingReader:
     """A recording: one file, or all of a directory (`*.mcap`), such as the parts of one that was split.
 
     Args:
-        path: the file, to which belong the parts that it was split into, or the directory.
+        path: the file, including the parts that it was split into, or the directory.
 
     Attributes:
-        readings: what was found so far, by file.
+        readings: the findings so far, by file.
 
     Raises:
-        RecordingError: there is none.
+        RecordingError: it does not exist.
     """
 
     def __init__(self, path: Path) -> None:
@@ -89,22 +89,22 @@ class RecordingReader:
         self._aligned: Alignment | None = None
 
     def entries(self) -> Iterator[RecordedPacket]:
-        """Give all packets, in the order in which they were recorded, over all files.
+        """Yield all packets in the order in which they were recorded, over all files.
 
-        Their times are those of one clock, where the agents knew how their clocks stand to each other.
+        Their times are on one clock, if the agents knew how their clocks compare.
 
         Raises:
-            RecordingError: a file is no recording at all.
+            RecordingError: a file is not a recording.
         """
         shifts = self._alignment().shifts
         parts = [_entries(reading, shifts) for reading in self.readings]
         yield from heapq.merge(*parts, key=lambda entry: entry.time_ns)
 
     def mission_time(self) -> MissionTime:
-        """Return what turns this recording's time into mission time; read the beginning of each file.
+        """Return the conversion of this recording's time to mission time. It reads the beginning of each file.
 
         Raises:
-            RecordingError: a file is no recording at all.
+            RecordingError: a file is not a recording.
         """
         again = [FileReading(file) for file in self.files]
         shifts = self._alignment().shifts
@@ -116,7 +116,7 @@ class RecordingReader:
         return self._aligned
 
     def notes(self) -> Sequence[str]:
-        """Return sentences on all that could not be read so far."""
+        """Return sentences about what could not be read so far."""
         notes = [f"{reading.path} is cut off: {reading.cut}" for reading in self.readings if reading.cut]
         notes += [
             f"{reading.path} is damaged: {reading.damage.chunks} of its chunks cannot be read"
@@ -126,7 +126,7 @@ class RecordingReader:
         virtual = [reading.path for reading in self.readings if reading.about.get("clock") == "mission time"]
         live = [reading for reading in self.readings if reading.about.get("clock") == "time of day"]
         if virtual and live:
-            notes.append(f"{virtual[0]} is in virtual time and {live[0].path} is not: their times do not go together")
+            notes.append(f"{virtual[0]} is in virtual time and {live[0].path} is not: their times cannot be compared")
         aligned = self._alignment()
         notes += aligned.remarks
         for reading in live:
@@ -144,11 +144,11 @@ def files_of(path: Path) -> list[Path]:
     """Return the files of a recording, in their order.
 
     Raises:
-        RecordingError: there is none, or nothing may be looked up there.
+        RecordingError: it does not exist, or its folder cannot be read.
     """
     try:
         is_folder = path.is_dir()
-        # Of a file, the first part may be gone: `at_limit = "drop_oldest"` drops it.
+        # The first part of a recording may be gone: `at_limit = "drop_oldest"` drops it.
         files = [file for file in path.glob(f"*{SUFFIX}") if file.is_file()] if is_folder else parts_of(path)
     except OSError as error:
         raise RecordingError(f"the recording {path} cannot be read: {error.strerror or error}") from None
@@ -158,7 +158,7 @@ def files_of(path: Path) -> list[Path]:
 
 
 def _lives(files: Sequence[Path]) -> list[ClockLife]:
-    """Return what recordings tell of the clocks of their agents; the times of older recordings stay as they are."""
+    """Return the clock facts of recordings; the times of older recordings are not changed."""
     lives: dict[str, ClockLife] = {}
     if len(files) < 2:  # there is nothing to align
         return []
@@ -177,14 +177,14 @@ def _entries(reading: FileReading, shifts: Mapping[str, Shift]) -> Iterator[Reco
     shift: Shift | None = None
     is_known = False
     for entry in _recorded(reading):
-        if not is_known:  # what the recording says of itself stands before its first packet
+        if not is_known:  # the metadata comes before the first packet
             is_known, life = True, ClockLife.of(reading.about)
             shift = shifts.get(life.key) if life is not None else None
         yield entry if shift is None else _moved(entry, shift)
 
 
 def _moved(entry: RecordedPacket, shift: Shift) -> RecordedPacket:
-    """Return a packet with its times as another clock counts them."""
+    """Return a packet with its times on another clock."""
     packet, body = entry.packet, entry.packet.body
     if isinstance(body, TaskDescription):
         began = body.began
@@ -202,7 +202,7 @@ def _recorded(reading: FileReading) -> Iterator[RecordedPacket]:
             try:
                 _, agent, name, kind = channel.topic.split("/")
             except ValueError:
-                text = f"its topic {channel.topic!r} does not read /AGENT/CHANNEL/TYPE"
+                text = f"its topic {channel.topic!r} is not of the form /AGENT/CHANNEL/TYPE"
                 reading.strange[text] = reading.strange.get(text, 0) + 1
                 continue
             try:
@@ -225,10 +225,10 @@ def _check_format(reading: FileReading) -> None:
 
 
 def messages(reading: FileReading, file: BinaryIO) -> Iterator[tuple[str, Channel, Message]]:
-    """Give all messages of a file as far as it is whole, each with the name of its schema and its channel.
+    """Yield all readable messages of a file, each with the name of its schema and its channel.
 
     Raises:
-        RecordingError: it is no recording at all.
+        RecordingError: it is not a recording.
     """
     channels: dict[int, Channel] = {}
     schemas: dict[int, str] = {}
@@ -246,17 +246,17 @@ def messages(reading: FileReading, file: BinaryIO) -> Iterator[tuple[str, Channe
             elif isinstance(record, Message):
                 channel = channels.get(record.channel_id)
                 if channel is None and reading.damage.chunks:
-                    continue  # what it was is told in a chunk that is damaged
+                    continue  # its channel is defined in a damaged chunk
                 if channel is None:
-                    raise KeyError(f"it does not say what its channel {record.channel_id} is")
+                    raise KeyError(f"it does not define its channel {record.channel_id}")
                 yield schemas[channel.schema_id], channel, record
     except READ_ERRORS as error:
         if not begun and not _was_begun(file):
-            raise RecordingError(f"{reading.path} is no recording: it does not begin as an MCAP file does") from None
+            raise RecordingError(f"{reading.path} is not a recording: it does not begin like an MCAP file") from None
         if is_being_written(file):
             reading.cut = "it is being recorded"
         else:
-            reading.cut = (str(error) or "its end is missing") if begun else "it has nothing yet"
+            reading.cut = (str(error) or "its end is missing") if begun else "it is empty"
 
 
 def _was_begun(file: BinaryIO) -> bool:
@@ -271,9 +271,9 @@ class Repaired:
 
     Attributes:
         path: the file.
-        whole: whether there was nothing to mend, and it was left alone.
-        messages: how many messages are in it.
-        bytes_lost: how much of it could not be used.
+        whole: whether there was nothing to repair, and it was not changed.
+        messages: the number of messages in it.
+        bytes_lost: how many bytes of it could not be used.
     """
 
     path: Path
@@ -287,15 +287,15 @@ def repair(path: Path, into: Path | None = None) -> Repaired:
 
     Args:
         path: the file.
-        into: the new file; None: it takes the place of the old one, once it is complete.
+        into: the new file; None: it replaces the old one once it is complete.
 
     Raises:
-        RecordingError: it is no recording, it is still being recorded, or the new file cannot be written.
+        RecordingError: it is not a recording, it is still being recorded, or the new file cannot be written.
     """
     reading = FileReading(path)
     with opened(path) as file:
         if into is None and is_being_written(file):
-            # Its recorder would write on into a file that has no name any more.
+            # Its recorder would continue to write into a file without a name.
             raise RecordingError(f"{path} is being recorded: end that first (pancakes record stop), or name --out")
         count = sum(1 for _ in messages(reading, file))
     if reading.whole:
@@ -311,13 +311,13 @@ def repair(path: Path, into: Path | None = None) -> Repaired:
             made.replace(path)
     except OSError as error:
         if begun:
-            made.unlink(missing_ok=True)  # half a file takes room, and would be in the way of the next repair
+            made.unlink(missing_ok=True)  # half a file takes room, and would block the next repair
         raise RecordingError(f"{path} cannot be repaired into {made}: {error.strerror or error}") from None
     return Repaired(into or path, False, count, size - used)
 
 
 def _copy(file: BinaryIO, out: BinaryIO, about: Mapping[str, str]) -> int:
-    """Copy what is whole; return how many bytes of the old file that took."""
+    """Copy the readable records; return how many bytes of the old file they took."""
     damage = Damage()
     writer = Writer(out, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD, index_types=IndexType.ALL)
     writer.start(profile="", library=LIBRARY)
@@ -343,7 +343,7 @@ def _copy(file: BinaryIO, out: BinaryIO, about: Mapping[str, str]) -> int:
                 channel = channels[record.channel_id]
                 writer.add_message(channel, record.log_time, record.data, record.publish_time, record.sequence)
             used = file.tell() - damage.size_bytes
-    except KeyError:  # its channel or schema is missing: it is torn
+    except KeyError:  # its channel or schema is missing
         pass
     writer.finish()
     out.flush()
@@ -352,7 +352,7 @@ def _copy(file: BinaryIO, out: BinaryIO, about: Mapping[str, str]) -> int:
 
 
 def _readable(file: BinaryIO, damage: Damage) -> Iterator[McapRecord]:
-    """Give what can be read. Apart from the writing, whose errors do not say that the file ends here."""
+    """Yield the readable records. Separate from writing, whose errors do not mean that the file ends here."""
     try:
         yield from records_of(file, damage)
     except READ_ERRORS:
@@ -360,12 +360,12 @@ def _readable(file: BinaryIO, damage: Damage) -> Iterator[McapRecord]:
 
 
 LEAST_SPAN_S: Final = 1.0
-"""A rate is told of packets that came over so long a time."""
+"""A rate is given only for packets over at least this time."""
 
 
 @dataclass
 class TopicCount:
-    """What was seen of one packet type on one channel of one agent."""
+    """The count of one packet type on one channel of one agent."""
 
     agent: str
     channel: str
@@ -375,9 +375,9 @@ class TopicCount:
     last_ns: int = 0
 
     def row(self) -> dict[str, Any]:
-        """Return it as plain values."""
+        """Return the count as plain values."""
         span_s = (self.last_ns - self.first_ns) / NANOSECONDS
-        # Packets that came at once, and never again, have no rate.
+        # Packets that came only within a moment have no rate.
         rate_hz = (self.packets - 1) / span_s if self.packets > 1 and span_s >= LEAST_SPAN_S else None
         return {
             "agent": self.agent,
@@ -390,13 +390,13 @@ class TopicCount:
 
 @dataclass
 class TaskPresence:
-    """A time that a task spent on one agent.
+    """The stay of a task on one agent.
 
     Attributes:
-        task_id: the task's identity for life.
+        task_id: the permanent identity of the task.
         agent: where it was.
-        epoch: how often it had been handed over.
-        published: how many packets it published there.
+        epoch: how many times it had been handed over.
+        published: the number of packets that it published there.
     """
 
     task_id: str
@@ -409,12 +409,12 @@ class TaskPresence:
 
 @dataclass
 class Summary:
-    """What is in a recording.
+    """The summary of a recording.
 
     Attributes:
-        packets: how many packets.
+        packets: the number of packets.
         first_ns: when the first was recorded.
-        last_ns: when the last was.
+        last_ns: when the last was recorded.
         topics: by agent, channel and type.
         stays: where each task that has an identity was, in the order of time.
     """
@@ -427,7 +427,7 @@ class Summary:
 
     @classmethod
     def of(cls, entries: Iterable[RecordedPacket]) -> Summary:
-        """Make it from packets in the order of time."""
+        """Summarise packets, which must come in the order of time."""
         summary = cls()
         for entry in entries:
             summary._add(entry)

@@ -15,10 +15,11 @@ from pancakes.security.roster import AccessRule, Bearer, Right, Roster, allows
 
 
 def fault_of_source(own_role: str, peer: str, role: str, packet: Packet) -> str:
-    """Return why a peer may not send packets of the source of this one, as a sentence; empty if it may.
+    """Return why a peer may not send packets from this source, as a sentence; empty: it may.
 
-    The packets of an agent come only over the link to that agent. But on `system`, and on channels that are no core
-    channels, a client replays what others once said (`pancakes replay`), and follows what others say to its peer.
+    Packets of an agent come only over the link to that agent. But on `system`, and on channels that are not core
+    channels, a client may replay packets of others (`pancakes replay`), and receives the packets of others from its
+    peer.
 
     Args:
         own_role: the role of this agent.
@@ -29,11 +30,11 @@ def fault_of_source(own_role: str, peer: str, role: str, packet: Packet) -> str:
     source, channel = packet.source, packet.channel
     if agent_of(source) == peer or ("client" in (own_role, role) and may_be_replayed(channel)):
         return ""
-    return f"{peer} ({role}) sends packets of {source} on {channel!r}, and may speak for itself alone"
+    return f"{peer} ({role}) sends packets of {source} on {channel!r}, but may speak only for itself"
 
 
 def may_be_replayed(channel: str) -> bool:
-    """Return whether a terminal may send what others said on this channel."""
+    """Return whether a terminal may send packets of others on this channel."""
     return channel == SYSTEM or channel not in CORE_CHANNELS
 
 
@@ -41,7 +42,7 @@ _ASKING: Final = frozenset(map(type_name, CONTROLS))
 _CONTROL_TYPES: Final = _ASKING | {type_name(Reply)}
 _MOST_KNOWN: Final = 4096
 _AMONG_ITSELF: Final = ("migration.", "guard.", "post.", "task.")
-"""Types of packets by which agents answer what was asked: the state machines know which agents they asked."""
+"""Types of packets that answer a request: the state machines know which agents they asked."""
 
 
 def right_of(body: object) -> Right:
@@ -55,9 +56,9 @@ def asks(packet: Packet) -> bool:
 
 
 def needs(packet: Packet) -> tuple[Right, tuple[str, ...]] | None:
-    """Return the right that a packet of a peer needs to be let in, and what for; None: none here.
+    """Return the right that a packet of a peer needs to enter, and its targets; None: none here.
 
-    A control packet is checked later, when its target is known; so is a hand-off, and a letter to a task.
+    Control packets, hand-offs and letters to tasks are checked later, when their target is known.
     """
     channel, kind = packet.channel, packet.type
     if channel == SYSCTRL and kind in _CONTROL_TYPES:
@@ -71,16 +72,16 @@ def needs(packet: Packet) -> tuple[Right, tuple[str, ...]] | None:
 
 
 class Access:
-    """What one agent lets its peers do.
+    """The rights of the peers of one agent.
 
-    A peer with a certificate may do what the rules of the roster say. Any other came by `local://`, or to an agent that
-    is `insecure`: it may do all, or what the agent's own file says.
+    A peer with a certificate has the rights in the rules of the roster. Any other peer came by `local://`, or to an
+    agent that is `insecure`: it has all rights, or those in the agent's own file.
 
     Args:
         agent: the agent.
-        roster: returns the roster that is known; None: the agent has no keys.
-        own: the rules of the agent's own file for peers without a certificate; None: it has none, and they may do all.
-        refused: rights that the agent's own file gives to no peer.
+        roster: returns the known roster; None: the agent has no keys.
+        own: the rules of the agent's own file for peers without a certificate; None: they have all rights.
+        refused: rights that the agent's own file refuses to all peers.
     """
 
     def __init__(
@@ -97,15 +98,15 @@ class Access:
         self._known: dict[tuple[Bearer, Right, tuple[str, ...]], bool] = {}
         self._known_of: Roster | None = None
         self.bearer_of: Callable[[str], tuple[Bearer, bool] | None] = lambda peer: None
-        """Takes a peer; returns what it is, and whether a certificate says so; None: it has no link."""
+        """Takes a peer; returns its bearer, and whether that is certified; None: it has no link."""
 
     def fault(self, peer: str, right: Right, *on: str) -> str:
         """Return why a peer may not do something, as a sentence; empty: it may. Any thread.
 
         Args:
-            peer: the name of the peer; the agent itself may do all.
+            peer: the name of the peer; the agent itself has all rights.
             right: the right that it needs.
-            on: what for; if that has several names, one of them is enough.
+            on: the target of the right; if it has several names, one of them is enough.
         """
         if peer == self._agent:
             return ""
@@ -114,16 +115,16 @@ class Access:
             return self.fault_of(*found, right, on)
         if self._roster is None and self._own is None and not self._refused:
             return ""
-        return f"{self._agent} has no link to {peer} any more, so it is not known what {peer} may do"
+        return f"{self._agent} has no link to {peer} any more, so the rights of {peer} are not known"
 
     def fault_of_packet(self, who: Bearer, certified: bool, peer: str, packet: Packet) -> str:
-        """Return why a packet is not let in, as a sentence; empty: it is. In the transport's thread.
+        """Return why a packet is refused, as a sentence; empty: it is not. In the transport's thread.
 
         Args:
             who: the peer.
-            certified: whether a certificate says so.
+            certified: whether a certificate proves it.
             peer: its name on the mesh.
-            packet: the packet, whose source was looked at.
+            packet: the packet, whose source was checked.
         """
         if not certified and self._own is None and not self._refused:
             return ""

@@ -50,7 +50,7 @@ from pancakes.util.files import read_plain
 AUTHORITY: Final = "authority.key"
 """In the operator's folder: the authority's private key."""
 PERSON_DAYS: Final = 90
-"""How long a person's certificate is good; that of an agent has no end: one whose key ended would be lost."""
+"""How long a person's certificate is valid. An agent's has no end: an agent whose key ended would be lost."""
 
 _FOREVER: Final = datetime.datetime(9999, 12, 31, 23, 59, 59, tzinfo=datetime.UTC)  # RFC 5280, 4.1.2.5
 _BEGINNING: Final = datetime.datetime(2020, 1, 1, tzinfo=datetime.UTC)
@@ -60,12 +60,12 @@ _LOCKED: Final = b"ENCRYPTED PRIVATE KEY"
 
 
 class Issued(NamedTuple):
-    """A certificate that was given out.
+    """A certificate that was issued.
 
     Attributes:
         pem: the certificate.
         serial: its number, as a peer reads it.
-        ends_s: when it ends, in seconds since 1970; None: it has no end.
+        ends_s: when it ends, in seconds since 1970; None: never.
     """
 
     pem: bytes
@@ -78,10 +78,10 @@ class Authority:
 
     Args:
         folder: the folder.
-        password: what the key is locked with; None: nothing.
+        password: the password of the key; None: the key is not locked.
 
     Raises:
-        PancakesError: the folder has no authority, or the password does not fit.
+        PancakesError: the folder has no authority, or the password is wrong.
     """
 
     def __init__(self, folder: Path, password: bytes | None = None) -> None:
@@ -91,7 +91,7 @@ class Authority:
         except OSError as error:
             raise PancakesError(f"the authority in {folder} cannot be used: {error.strerror or error}") from None
         except (TypeError, ValueError):
-            raise PancakesError(f"the authority in {folder} cannot be used: that is not its password") from None
+            raise PancakesError(f"the authority in {folder} cannot be used: the password is wrong") from None
         assert isinstance(key, ec.EllipticCurvePrivateKey)
         self.folder = folder
         self._key = key
@@ -102,7 +102,7 @@ class Authority:
 
     @classmethod
     def founded(cls, fleet: str, folder: Path, password: bytes | None = None) -> Authority:
-        """Found a fleet: makes its key, its first rules and its first roster.
+        """Found a fleet: make its key, its first rules and its first roster.
 
         Raises:
             PancakesError: the folder has an authority already.
@@ -133,14 +133,14 @@ class Authority:
 
     @property
     def entries(self) -> tuple[Entry, ...]:
-        """All certificates that were given out, the oldest first."""
+        """All issued certificates, the oldest first."""
         return self._register.entries
 
     def check_new(self, name: str) -> None:
         """Check that a name is free.
 
         Raises:
-            PancakesError: it is taken.
+            PancakesError: the name is taken.
         """
         self._register.check_new(name, self.fleet)
 
@@ -153,7 +153,7 @@ class Authority:
         came_from: str = "",
         days: float | None = None,
     ) -> KeyFiles:
-        """Certify a key, and registers that; returns the contents of its folder, without the private key."""
+        """Certify a key and register it; return the contents of its folder, without the private key."""
         given = self.certify(key, role, name, groups, days)
         entry = Entry(name, role, tuple(groups), given.serial, wall_ns() / 1e9, given.ends_s, came_from)
         self._keep(replace(self._register, entries=(*self._register.entries, entry)))
@@ -163,23 +163,23 @@ class Authority:
     def enrol_with_key(
         self, role: CertifiedRole, name: str, groups: Sequence[str] = (), days: float | None = None
     ) -> KeyFiles:
-        """Make a key and certifies it; returns the contents of its folder."""
+        """Make a key and certify it; return the contents of its folder."""
         key = new_key()
         return self.enrol(key.public_key(), role, name, groups, days=days)._replace(key=pem_of_key(key))
 
     def latest(self, who: str) -> Entry:
-        """Return the newest certificate of a bearer that is believed; `who` is `NAME` or `ROLE/NAME`.
+        """Return the newest valid certificate of a bearer; `who` is `NAME` or `ROLE/NAME`.
 
         Raises:
-            PancakesError: there is none.
+            PancakesError: the bearer has none.
         """
         return self._register.latest(who, self.fleet)
 
     def revoke(self, who: str, why: str, force: bool = False) -> list[Entry]:
-        """Revoke all certificates of a bearer, and signs that.
+        """Revoke all certificates of a bearer, and sign a new roster.
 
         Raises:
-            PancakesError: there is none, or the roster cannot be signed.
+            PancakesError: the bearer has none, or the roster cannot be signed.
         """
         self.latest(who)
         gone = self._register.of(who)
@@ -188,10 +188,10 @@ class Authority:
         return gone
 
     def allow(self, rule: AccessRule, force: bool = False) -> Roster:
-        """Add a rule, and signs that.
+        """Add a rule, and sign a new roster.
 
         Raises:
-            PancakesError: the rules are not sound, or the roster cannot be signed.
+            PancakesError: the rules are not valid, or the roster cannot be signed.
         """
         add_rule(self.folder, rule)
         return self.sign(force)
@@ -200,11 +200,12 @@ class Authority:
         """Sign a new roster.
 
         Args:
-            force: whether agents must believe it whatever its date.
-            register: the register that it is made of; None: the present one.
+            force: whether agents must accept it whatever its date.
+            register: the register for it; None: the present one.
 
         Raises:
-            PancakesError: the clock of this machine, or that of the last signing, is not believed; or it is too large.
+            PancakesError: the clock of this machine, or that of the last signing, seems wrong; or the roster is too
+                large.
         """
         now = register or self._register
         now_s = wall_ns() / 1e9
@@ -212,7 +213,7 @@ class Authority:
             last, here = (datetime.datetime.fromtimestamp(it).strftime("%d %B %Y") for it in (now.signed_s, now_s))
             raise PancakesError(
                 f"the last roster was signed on {last}, and by the clock of this machine it is {here}. Set that clock,"
-                " or, where it is right, say --any-date"
+                " or pass --any-date if it is right"
             )
         revoked = tuple(Revoked(it.serial, it.who, it.revoked) for it in now.entries if it.revoked)
         roster = Roster(self.fleet, now.number + 1, now_s, revoked, read_rules(self.folder), force)
@@ -235,14 +236,14 @@ class Authority:
         groups: Sequence[str] = (),
         days: float | None = None,
     ) -> Issued:
-        """Return a certificate of a key.
+        """Return a certificate for a key.
 
         Args:
             public_key: the key.
-            role: what its bearer is.
+            role: its bearer's role.
             name: its bearer's name.
-            groups: by which rules may name its bearer.
-            days: how long it is good; None: as long as is usual for the role.
+            groups: the groups by which rules may name its bearer.
+            days: how long it is valid; None: the usual time for the role.
         """
         if days is None and role in PEOPLE:
             days = PERSON_DAYS
@@ -273,11 +274,11 @@ class Authority:
             .add_extension(x509.ExtendedKeyUsage(uses), critical=False)
         )
         pem = built.sign(self._key, hashes.SHA256()).public_bytes(_PEM)
-        digits = 2 * ((serial.bit_length() + 7) // 8)  # as `ssl` reads it: an even number of hexadecimal ones
+        digits = 2 * ((serial.bit_length() + 7) // 8)  # as `ssl` prints it: an even number of hexadecimal digits
         return Issued(pem, f"{serial:0{digits}X}", None if days is None else end.timestamp())
 
     def signed(self, roster: Roster) -> bytes:
-        """Return a roster as it travels, signed.
+        """Return a signed roster.
 
         Raises:
             PancakesError: it is too large.
@@ -287,8 +288,8 @@ class Authority:
         text = _JSON(SignedRoster(payload, signature.hex()))
         if len(text) > MOST_BYTES:
             raise PancakesError(
-                f"the roster of the fleet {self.fleet} would have {len(text)} bytes, and {MOST_BYTES} are the most: so"
-                " many are revoked that it is time for a new authority"
+                f"the roster of the fleet {self.fleet} would have {len(text)} bytes, and at most {MOST_BYTES} may be:"
+                " too many certificates are revoked, so it is time for a new authority"
             )
         return text
 
@@ -297,7 +298,7 @@ def is_locked(directory: Path) -> bool:
     """Return whether the key of the authority in a directory needs a password.
 
     Raises:
-        PancakesError: there is none.
+        PancakesError: it has no authority.
     """
     try:
         return _LOCKED in read_plain(directory / AUTHORITY)
@@ -306,7 +307,7 @@ def is_locked(directory: Path) -> bool:
 
 
 def signed_by(authorities: Path, signed: SignedRoster) -> bool:
-    """Return whether a roster was signed by the authority of a fleet, or by one of two.
+    """Return whether a roster was signed by the authority of a fleet, or by one of its two.
 
     Args:
         authorities: the file with their certificates.

@@ -22,15 +22,15 @@ class FalseRoster(PancakesError):
 
 
 class UnkeptRoster(PancakesError):
-    """A roster that the authority of the fleet has signed, and that cannot be written beside the keys."""
+    """A roster that the authority of the fleet has signed, but that cannot be written to the key folder."""
 
 
 def check(folder: Path, text: bytes) -> None:
-    """Keep a roster in a folder with keys.
+    """Check a roster, and keep it in a key folder.
 
     Raises:
-        FalseRoster: it is none, or was not signed by the authority of the folder's fleet.
-        UnkeptRoster: it was signed, and cannot be written.
+        FalseRoster: it is not a roster, or not signed by the authority of the folder's fleet.
+        UnkeptRoster: it was signed, but cannot be written.
         PancakesError: it cannot be checked.
     """
     with needing_extra("a roster cannot be checked"):

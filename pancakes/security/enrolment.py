@@ -43,23 +43,23 @@ LOOK_S: Final = 0.2
 MOST_BYTES: Final = 256 * 1024
 _HASH_BYTES: Final = 15
 _NO_REQUEST: Final = (OSError, ValueError, KeyError, TypeError, AttributeError, UnsupportedAlgorithm)
-"""What reading a stranger's request raises. It ends that connection, and nothing is said at the operator's terminal."""
+"""The errors of reading a stranger's request. They end the connection, and are not shown to the operator."""
 _SECRET_BYTES: Final = 10
 _PEM: Final = serialization.Encoding.PEM
-_NO_CODE: Final = "is no join code: copy it whole, from the terminal of the operator that shows it"
+_NO_CODE: Final = "is not a join code: copy all of it from the operator's terminal"
 
 Certify = Callable[[ec.EllipticCurvePublicKey, str], KeyFiles]
-"""Takes the newcomer's public key and where it comes from; returns the contents of its folder, without its key."""
+"""Takes the newcomer's public key and address; returns the contents of its key folder, without the private key."""
 
 
 class JoinCode(NamedTuple):
-    """What the newcomer types.
+    """The join code, which is typed on the newcomer.
 
     Attributes:
         host: the operator's machine.
         port: the port at which it waits.
         pin: the beginning of the hash of its certificate.
-        secret: what the newcomer has to know.
+        secret: the secret of the newcomer.
     """
 
     host: str
@@ -76,7 +76,7 @@ class JoinCode(NamedTuple):
         """Read a code.
 
         Raises:
-            PancakesError: it is none.
+            PancakesError: it is not a join code.
         """
         place, _, rest = text.strip().rpartition("/")
         host, _, port = place.rpartition(":")
@@ -92,18 +92,18 @@ class JoinCode(NamedTuple):
 
 
 class Desk:
-    """Wait on the operator's machine for one newcomer.
+    """Wait for one newcomer, on the operator's machine.
 
     Args:
-        host: the address of this machine, as the newcomer reaches it.
-        port: where to wait; 0: at a free port.
-        open_s: for how long.
+        host: the address at which the newcomer reaches this machine.
+        port: the port to wait at; 0: a free port.
+        open_s: how long to wait.
 
     Attributes:
-        code: what the newcomer types.
+        code: the join code.
 
     Raises:
-        PancakesError: it cannot wait there.
+        PancakesError: it cannot wait at this port.
     """
 
     def __init__(self, host: str, port: int, open_s: float) -> None:
@@ -141,30 +141,30 @@ class Desk:
         self.code = JoinCode(host, self._sock.getsockname()[1], pin, secrets.token_bytes(_SECRET_BYTES))
 
     def serve(self, certify: Certify) -> str:
-        """Wait for the newcomer, then closes.
+        """Wait for the newcomer, then close.
 
         Args:
             certify: see `Certify`.
 
         Returns:
-            Where it comes from.
+            The newcomer's address.
 
         Raises:
-            PancakesError: no machine came in time, or the code was guessed at too often.
+            PancakesError: no machine came in time, or there were too many wrong codes.
         """
         with self._sock:
             while (left_s := self._until_s - self._now()) > 0 and self._tries < TRIES and not self._told.is_set():
                 self._sock.settimeout(min(left_s, LOOK_S))
                 with contextlib.suppress(OSError):
                     link, place = self._sock.accept()
-                    # Each in a thread of its own: a stranger that says nothing keeps no newcomer out.
+                    # Each in a thread of its own, so that a silent stranger does not block the newcomer.
                     threading.Thread(target=self._meet, args=(link, place[0], certify), daemon=True).start()
         if self._fault is not None:
             raise self._fault
         if self._told.is_set():
             return self._came_from
         if self._tries >= TRIES:
-            raise PancakesError(f"{TRIES} attempts had a wrong code, so it is good no more: enrol the machine again")
+            raise PancakesError(f"{TRIES} attempts had a wrong code, so it is no longer valid: enrol the machine again")
         raise PancakesError("no machine has joined in time: enrol it again")
 
     def _meet(self, link: socket.socket, place: str, certify: Certify) -> None:
@@ -181,11 +181,11 @@ class Desk:
     def _answer(
         self, secret: bytes, request: x509.CertificateSigningRequest, place: str, certify: Certify
     ) -> dict[str, str]:
-        """Return what a newcomer is told. One at a time: the code is good once."""
+        """Return the answer to a newcomer. One at a time, because the code is valid only once."""
         with self._lock:
             if self._came_from or self._tries >= TRIES or not hmac.compare_digest(secret, self.code.secret):
                 self._tries += 1
-                return {"error": "that code is not good, or not any more"}
+                return {"error": "the code is not valid, or no longer valid"}
             key = request.public_key()
             if not request.is_signature_valid or not isinstance(key, ec.EllipticCurvePublicKey):
                 return {"error": "the request is not signed by its key"}
@@ -194,27 +194,27 @@ class Desk:
                 return certify(key, place).as_text()
             except PancakesError as error:
                 self._fault = error
-                return {"error": "the operator's machine could not give out a certificate"}
+                return {"error": "the operator's machine could not issue a certificate"}
 
 
 def join(text: str) -> KeyFiles:
-    """Join a fleet, on the machine of the newcomer.
+    """Join a fleet, on the newcomer's machine.
 
     Args:
         text: the code.
 
     Returns:
-        The contents of its folder with keys.
+        The contents of its key folder.
 
     Raises:
-        PancakesError: it is not a code, the operator's machine cannot be reached, or is another, or does not agree.
+        PancakesError: it is not a join code, the operator's machine cannot be reached, is another machine, or refuses.
     """
     code = JoinCode.parse(text)
     place = f"{code.host}:{code.port}"
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
     context.minimum_version = ssl.TLSVersion.TLSv1_3
     context.check_hostname = False
-    context.verify_mode = ssl.CERT_NONE  # the hash in the code says which certificate it is to be
+    context.verify_mode = ssl.CERT_NONE  # the hash in the code identifies the certificate
     key = new_key()
     request = x509.CertificateSigningRequestBuilder().subject_name(x509.Name([])).sign(key, hashes.SHA256())
     asked = {"secret": code.secret.hex(), "request": request.public_bytes(_PEM).decode()}
@@ -229,9 +229,9 @@ def join(text: str) -> KeyFiles:
             answer = plain_of(tls.makefile("rb").readline(MOST_BYTES) or b"{}")
     except OSError as error:
         why = (error.strerror or str(error)).lower()
-        raise PancakesError(f"{place} cannot be reached: {why}. Does pancakes fleet enrol still wait there?") from None
+        raise PancakesError(f"{place} cannot be reached: {why}. Is pancakes fleet enrol still waiting there?") from None
     except ValueError:
-        raise PancakesError(f"what {place} answers cannot be read") from None
+        raise PancakesError(f"the answer of {place} cannot be read") from None
     if isinstance(answer, dict) and "error" in answer:
         raise PancakesError(f"{place} says: {printable_line(str(answer['error']))}")
     try:
@@ -241,10 +241,10 @@ def join(text: str) -> KeyFiles:
 
 
 def own_address() -> str:
-    """Return the address at which other machines reach this one, as far as it knows."""
+    """Return the address at which other machines probably reach this one."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         try:
-            probe.connect(("192.0.2.1", 9))  # sends nothing: it asks the kernel which way a packet would go
+            probe.connect(("192.0.2.1", 9))  # sends nothing: it asks the kernel for the route
             return str(probe.getsockname()[0])
         except OSError:
             return "127.0.0.1"

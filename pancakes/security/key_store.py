@@ -1,4 +1,4 @@
-"""Read and write the folders with keys: their paths and files, and the operator's register and access rules.
+"""Read and write key folders: their paths and files, and the operator's register and access rules.
 
 The folder of an agent or a person has its certificate and private key, the certificate of the authority, and the last
 roster. No configuration names a key: the fleet and the name of an agent determine its folder. The operator's folder
@@ -28,15 +28,15 @@ KEY: Final = "key.pem"
 FLEET: Final = "fleet.pem"
 """The certificate of the fleet's authority, or of two while the fleet changes from one to another."""
 ROSTER: Final = "roster.json"
-"""The last roster of the fleet that is known."""
+"""The last known roster of the fleet."""
 
 
 class KeyFiles(NamedTuple):
-    """The contents of a folder with keys.
+    """The contents of a key folder.
 
     Attributes:
         fleet: the fleet.
-        role: what the bearer is.
+        role: the bearer's role.
         name: the bearer's name.
         certificate: the bearer's certificate, as PEM.
         authority: the certificate of the fleet's authority, as PEM.
@@ -53,9 +53,9 @@ class KeyFiles(NamedTuple):
     key: bytes = b""
 
     def write(self, folder: Path) -> None:
-        """Write a folder with keys; the key last, so that it is never beside an older fleet's certificate.
+        """Write a key folder; the key last, so that it is never beside an older fleet's certificate.
 
-        A later roster that is there stays: what it revokes is not to be believed again.
+        A later roster in the folder stays, so that what it revokes stays revoked.
 
         Raises:
             PancakesError: it cannot be written.
@@ -70,7 +70,7 @@ class KeyFiles(NamedTuple):
             raise PancakesError(f"the keys cannot be written to {folder}: {why}") from None
 
     def as_text(self) -> dict[str, str]:
-        """Return what travels to the machine that has the key."""
+        """Return what is sent to the machine that has the private key."""
         return {
             name: value.decode() if isinstance(value, bytes) else value
             for name, value in self._asdict().items()
@@ -79,17 +79,17 @@ class KeyFiles(NamedTuple):
 
     @classmethod
     def of_text(cls, text: dict[str, Any], key: bytes) -> KeyFiles:
-        """Return what has travelled, with the key that has not.
+        """Return the received contents together with the private key.
 
         Raises:
-            KeyError, AttributeError: a part is missing, or is not text.
+            KeyError, AttributeError: a part is missing or is not text.
         """
         certificate, authority, roster = (text[name].encode() for name in ("certificate", "authority", "roster"))
         return cls(str(text["fleet"]), str(text["role"]), str(text["name"]), certificate, authority, roster, key)
 
 
 def number_of(path: Path) -> int:
-    """Return the number of the roster in a file; 0 if there is none that can be read."""
+    """Return the number of the roster in a file; 0 if it is missing or cannot be read."""
     try:
         return _number(read_plain(path))
     except OSError:
@@ -104,7 +104,7 @@ def _number(text: bytes) -> int:
 
 
 def write_private(path: Path, data: bytes) -> None:
-    """Write a file that only its user can read, in a directory of only that user: all of it or nothing.
+    """Write a file that only its user can read, in a directory of only that user, completely or not at all.
 
     Raises:
         OSError: it cannot be written.
@@ -129,43 +129,43 @@ _OF_SERVICES: Final = Path("/etc/pancakes/keys")
 
 
 def folder_of_agent(fleet: str, name: str) -> Path:
-    """Return where the keys of an agent belong, for this user.
+    """Return the key folder of an agent, for this user.
 
     Raises:
-        NoHome: nothing says where.
+        NoHome: it is not known where.
     """
     base = user_folder("XDG_DATA_HOME", ".local/share", f"the key of {name}")
     return base / "pancakes" / "keys" / fleet / name
 
 
 def keys_of_agent(fleet: str, name: str) -> Path | None:
-    """Return the folder with the keys of an agent, of this user or else of the machine; None if it has none."""
+    """Return the key folder of an agent, of this user or else of the machine; None if it has no keys."""
     places = [_OF_SERVICES / fleet / name]
-    with suppress(NoHome):  # then this user has none
+    with suppress(NoHome):  # then this user has no keys
         places.insert(0, folder_of_agent(fleet, name))
     return next((it for it in places if os.path.lexists(it / KEY)), None)
 
 
 def fleets() -> Path:
-    """Return the directory of this person's fleets: own keys, and the authorities of those that were founded here.
+    """Return the directory of this person's fleets: their keys, and the authorities of fleets founded here.
 
     Raises:
-        NoHome: nothing says where it is.
+        NoHome: it is not known where.
     """
-    return user_folder("XDG_CONFIG_HOME", ".config", "what this person has of fleets") / "pancakes" / "fleets"
+    return user_folder("XDG_CONFIG_HOME", ".config", "the fleets of this person") / "pancakes" / "fleets"
 
 
 def folder_of_person(fleet: str) -> Path:
-    """Return where this person's own keys for a fleet belong.
+    """Return this person's key folder for a fleet.
 
     Raises:
-        NoHome: nothing says where.
+        NoHome: it is not known where.
     """
     return fleets() / fleet / "me"
 
 
 def keys_of_person(fleet: str) -> Path | None:
-    """Return the folder with this person's own keys for a fleet; None if there are none."""
+    """Return this person's key folder for a fleet; None if this person has no keys for it."""
     try:
         own = folder_of_person(fleet)
     except NoHome:
@@ -182,7 +182,7 @@ def fleets_of_person() -> list[str]:
 
 
 def rosters_here() -> dict[str, int]:
-    """Return the number of the last roster that this person's folders have of each fleet."""
+    """Return the number of the last roster of each fleet in this person's folders."""
     try:
         folders = sorted(it for it in fleets().iterdir() if it.is_dir())
     except (OSError, NoHome):
@@ -194,17 +194,17 @@ REGISTER: Final = "register.json"
 
 
 class Entry(msgspec.Struct, frozen=True):
-    """A certificate that was given out.
+    """A certificate that was issued.
 
     Attributes:
         name: its bearer's name.
-        role: what its bearer is.
+        role: its bearer's role.
         groups: its bearer's groups.
         serial: its number.
-        given_s: when it was given out, in seconds since 1970.
-        ends_s: when it ends, likewise; None: it has no end.
-        came_from: where the machine joined from; empty: it was given a folder.
-        revoked: why it is believed no more; empty: it is believed.
+        given_s: when it was issued, in seconds since 1970.
+        ends_s: when it ends, in seconds since 1970; None: never.
+        came_from: the address from which the machine joined; empty: its folder was copied.
+        revoked: why it was revoked; empty: it is valid.
     """
 
     name: str
@@ -218,7 +218,7 @@ class Entry(msgspec.Struct, frozen=True):
 
     @property
     def who(self) -> str:
-        """Whose it is: `ROLE/NAME`."""
+        """Its bearer: `ROLE/NAME`."""
         return f"{self.role}/{self.name}"
 
 
@@ -227,8 +227,8 @@ class Register(msgspec.Struct, frozen=True):
 
     Attributes:
         entries: the certificates, the oldest first.
-        number: of the last roster that was signed.
-        signed_s: when that was, in seconds since 1970.
+        number: the number of the last signed roster.
+        signed_s: when that roster was signed, in seconds since 1970.
     """
 
     entries: tuple[Entry, ...] = ()
@@ -236,7 +236,7 @@ class Register(msgspec.Struct, frozen=True):
     signed_s: float = 0.0
 
     def of(self, who: str) -> list[Entry]:
-        """Return the certificates of a bearer that are believed; `who` is `NAME` or `ROLE/NAME`."""
+        """Return the valid certificates of a bearer; `who` is `NAME` or `ROLE/NAME`."""
         return [it for it in self.entries if not it.revoked and who in (it.name, it.who)]
 
     def check_new(self, name: str, fleet: str) -> None:
@@ -252,10 +252,10 @@ class Register(msgspec.Struct, frozen=True):
             )
 
     def latest(self, who: str, fleet: str) -> Entry:
-        """Return the newest certificate of a bearer that is believed; `who` is `NAME` or `ROLE/NAME`.
+        """Return the newest valid certificate of a bearer; `who` is `NAME` or `ROLE/NAME`.
 
         Raises:
-            PancakesError: there is none.
+            PancakesError: the bearer has none.
         """
         found = self.of(who)
         if not found:
@@ -268,7 +268,7 @@ _DECODE: Final = codecs.json_decoder(Register)
 
 
 def read_register(folder: Path) -> Register:
-    """Read the register of a fleet; empty if there is none.
+    """Read the register of a fleet; a missing one is empty.
 
     Raises:
         PancakesError: it cannot be read.
@@ -281,7 +281,7 @@ def read_register(folder: Path) -> Register:
     except OSError as error:
         raise PancakesError(f"the register {path} cannot be read: {error.strerror or error}") from None
     except MALFORMED as error:
-        raise PancakesError(f"the register {path} is damaged: {error}. Put back a copy of it") from None
+        raise PancakesError(f"the register {path} is damaged: {error}. Restore a copy of it") from None
 
 
 def write_register(folder: Path, register: Register) -> None:
@@ -308,7 +308,7 @@ def read_rules(folder: Path) -> tuple[AccessRule, ...]:
     """Read the rules of a fleet.
 
     Raises:
-        PancakesError: the file cannot be read, or is not sound.
+        PancakesError: the file cannot be read, or is not valid.
     """
     path = folder / RULES
     try:
@@ -319,8 +319,8 @@ def read_rules(folder: Path) -> tuple[AccessRule, ...]:
     except OSError as error:
         raise PancakesError(f"the rules {path} cannot be read: {error.strerror or error}") from None
     except (*MALFORMED, ValueError) as error:
-        raise PancakesError(f"the rules {path} are not sound: {error}") from None
-    raise PancakesError(f"the rules {path} are not sound: {'; '.join(map(str, faults))}")
+        raise PancakesError(f"the rules {path} are not valid: {error}") from None
+    raise PancakesError(f"the rules {path} are not valid: {'; '.join(map(str, faults))}")
 
 
 def begin_rules(folder: Path) -> None:
@@ -329,10 +329,10 @@ def begin_rules(folder: Path) -> None:
 
 
 def add_rule(folder: Path, rule: AccessRule) -> None:
-    """Add a rule at the end of the file; what a person wrote there stays.
+    """Add a rule at the end of the file; its other text is kept.
 
     Raises:
-        PancakesError: the file cannot be read, or is not sound.
+        PancakesError: the file cannot be read, or is not valid.
     """
     read_rules(folder)
     path = folder / RULES

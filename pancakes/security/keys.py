@@ -1,4 +1,4 @@
-"""Load an agent's own key and certificate, and decide which certificates it believes. Imports OpenSSL."""
+"""Load an agent's own key and certificate, and decide which certificates to trust. Imports OpenSSL."""
 
 from __future__ import annotations
 
@@ -15,25 +15,25 @@ from pancakes.util.clock import wall_ns
 from pancakes.util.files import check_plain, read_plain
 
 _NO_CHECK_TIME: Final = 0x200000
-"""X509_V_FLAG_NO_CHECK_TIME, which Python does not name: a robot without a clock wakes up in 1970."""
+"""X509_V_FLAG_NO_CHECK_TIME, for which Python has no name: a robot without a clock starts in 1970."""
 
 
 class Keys:
-    """What TLS needs of keys, for connections that are dialled and those that come in.
+    """The TLS contexts of a key folder, for dialled and incoming connections.
 
     Args:
-        folder: where `key.pem` and `fleet.pem` are.
+        folder: the key folder.
 
     Attributes:
         folder: the same.
         dialling: for connections that are dialled.
-        listening: for connections that come in.
-        own: what the own certificate says.
-        roster: the last roster that is known; None: none is.
-        roster_text: the same, as it was signed.
+        listening: for incoming connections.
+        own: the contents of the own certificate.
+        roster: the last known roster; None: none.
+        roster_text: the same roster with its signature.
 
     Raises:
-        PancakesError: a file is missing, is of no use, or others can read the key; the sentence names it.
+        PancakesError: a file is missing, cannot be used, or others can read the key; the message names it.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -45,30 +45,31 @@ class Keys:
             self.own = certificate_shown(_shown_to_itself(self.listening, folder))
         except (ssl.SSLError, ValueError):
             raise PancakesError(
-                f"the key {folder / KEY} is of no use in the fleet of {folder / FLEET}: the authority of that fleet"
+                f"the key {folder / KEY} cannot be used in the fleet of {folder / FLEET}: the authority of that fleet"
                 " has not signed its certificate"
             ) from None
 
         self.roster, self.roster_text = _kept(folder / ROSTER)
 
     def _look(self) -> tuple[int, ...]:
-        """Return what changes when other files are put there.
+        """Return a mark that changes when the files are replaced.
 
         Raises:
-            PancakesError: the key is not there, or others can read it.
+            PancakesError: the key is missing, or others can read it.
         """
         check_private(self.folder / KEY)
         found = [(self.folder / file).stat() for file in (KEY, FLEET) if (self.folder / file).exists()]
         return tuple(number for it in found for number in (it.st_ino, it.st_mtime_ns))
 
     def reload(self, dry_run: bool = False) -> bool:
-        """Take the key that lies there now; returns whether it is a new one.
+        """Take the key that is in the folder now; return whether it is a new one.
 
         Args:
-            dry_run: whether it is only looked for.
+            dry_run: only check whether there is a new one.
 
         Raises:
-            PancakesError: it cannot be used, or is another's. The old one stays; the next call says nothing of it.
+            PancakesError: it cannot be used, or belongs to another. The old one stays in use; the next call does not
+                report it again.
         """
         stamp = self._look()
         if stamp == self._stamp:
@@ -86,15 +87,15 @@ class Keys:
         return True
 
     def fault_of(self, shown: Certified) -> str:
-        """Return why the bearer of a certificate of the authority is not believed, as a clause; empty: it is."""
+        """Return why a certificate of the authority is not trusted, as a clause; empty: it is."""
         return fault_of_certified(shown, self.own.fleet, self.roster, wall_ns() / 1e9)
 
     def fault_of_roster(self, new: Roster) -> str:
-        """Return why a roster is not to be taken, as a sentence; empty: it is, if it was signed."""
+        """Return why a roster must not be taken, as a sentence; empty: it may, if it was signed."""
         return fault_of_news(new, self.roster, self.own.fleet, wall_ns() / 1e9)
 
     def learn(self, roster: Roster, text: bytes) -> bool:
-        """Take a roster whose signature has been checked; returns whether it is news."""
+        """Take a roster whose signature has been checked; return whether it is newer."""
         if self.fault_of_roster(roster):
             return False
         self.roster, self.roster_text = roster, text
@@ -102,7 +103,7 @@ class Keys:
 
 
 def _kept(path: Path) -> tuple[Roster | None, bytes]:
-    """Return the roster beside the keys. It was checked before it came there, and is believed like them."""
+    """Return the roster in the key folder. It was checked when it was put there, and is trusted like the keys."""
     try:
         text = read_plain(path)
         return read_signed(text)[1], text
@@ -115,10 +116,10 @@ def _kept(path: Path) -> tuple[Roster | None, bytes]:
 
 
 def certificate_shown(side: ssl.SSLObject) -> Certified:
-    """Return what the certificate says that the other side has shown.
+    """Return the contents of the certificate that the other side has shown.
 
     Raises:
-        ValueError: it is none of a fleet; the message says why, as a clause.
+        ValueError: it is not a certificate of a fleet; the message says why, as a clause.
     """
     shown = side.getpeercert() or {}
     try:
@@ -143,15 +144,15 @@ def _context(protocol: int, folder: Path) -> ssl.SSLContext:
         except OSError as error:
             raise PancakesError(f"the key file {path} cannot be used: {error.strerror or error}") from None
     if protocol == ssl.PROTOCOL_TLS_SERVER:
-        context.num_tickets = 0  # a peer that comes again shows its certificate again
+        context.num_tickets = 0  # a peer that reconnects shows its certificate again
     return context
 
 
 def _shown_to_itself(listening: ssl.SSLContext, folder: Path) -> ssl.SSLObject:
-    """Return the listening side of a handshake with itself: Python reads no certificate but one that it was shown.
+    """Return the listening side of a handshake with itself: Python reads only certificates that were shown.
 
     Raises:
-        ssl.SSLError: the key would not be believed.
+        ssl.SSLError: the key would not be accepted.
     """
     dialling = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
     dialling.check_hostname = False
@@ -174,17 +175,17 @@ def check_private(path: Path) -> None:
     """Check that no other user can read a private key.
 
     Raises:
-        PancakesError: another user can, or it is not there; the sentence says what to do.
+        PancakesError: another user can, or it is missing; the message says what to do.
     """
     try:
         found = path.lstat()
     except OSError as error:
         raise PancakesError(f"the key {path} cannot be used: {(error.strerror or str(error)).lower()}") from None
     if not stat.S_ISREG(found.st_mode):
-        raise PancakesError(f"the key {path} is no file")
+        raise PancakesError(f"the key {path} is not a file")
     folder = path.parent.stat()
     if folder.st_mode & 0o022 or folder.st_uid not in (0, os.getuid()):
-        raise PancakesError(f"others can put other files into the folder with keys {path.parent}: chmod 700 it")
+        raise PancakesError(f"others can put files into the key folder {path.parent}: chmod 700 it")
     if found.st_uid != os.getuid():
         raise PancakesError(f"the key {path} belongs to another user (uid {found.st_uid})")
     if found.st_mode & 0o077:

@@ -1,8 +1,9 @@
 """Certificates, access rules and the signed roster of a fleet: who belongs to it, and who may do what. Pure.
 
-`Certified` is what a certificate says of an agent or a person. `AccessRule` allows something; what no rule allows is
-refused. The roster lists revoked certificates and the rules. The fleet's authority signs it, and its number only
-rises. Signatures are checked elsewhere (`pancakes.security.authority`), so this module does not need `cryptography`.
+`Certified` has the contents of a certificate of an agent or a person. `AccessRule` allows something; what no rule
+allows is refused. The roster lists revoked certificates and the rules. The fleet's authority signs it, and its number
+only rises. Signatures are checked elsewhere (`pancakes.security.authority`), so this module does not need
+`cryptography`.
 """
 
 from __future__ import annotations
@@ -23,9 +24,9 @@ CertifiedRole = Literal["agent", "environment", "operator", "observer"]
 """`agent` and `environment` listen and dial; `operator` and `observer` are people, who only dial."""
 PEOPLE: Final = ("operator", "observer")
 SLACK_S: Final = 300.0
-"""How much later than a certificate's end the clocks of two machines may say that it has passed."""
+"""The tolerance for a certificate's end, because the clocks of two machines differ."""
 NEVER_S: Final = 253_402_300_799.0
-"""9999-12-31 23:59:59, which says that a certificate has no end (RFC 5280, 4.1.2.5)."""
+"""9999-12-31 23:59:59, which means that a certificate has no end (RFC 5280, 4.1.2.5)."""
 
 _NAMED: Final = re.compile(
     rf"pancakes://(?P<fleet>{NAME})/(?P<role>agent|environment|operator|observer)/(?P<name>{NAME})"
@@ -35,15 +36,15 @@ _TIME: Final = re.compile(r"(?P<month>[A-Z][a-z]{2}) +(?P<day>\d+) (?P<time>\d\d
 
 
 class Certified(msgspec.Struct, frozen=True):
-    """What a certificate says, which the fleet's authority has signed.
+    """The contents of a certificate that the fleet's authority signed.
 
     Attributes:
         fleet: the fleet.
-        role: what its bearer is.
-        name: its bearer's name on the mesh; a person's terminals have it with a dot and more.
-        groups: by which rules may name its bearer.
+        role: its bearer's role.
+        name: its bearer's name on the mesh; a person's terminals add a dot and more.
+        groups: the groups by which rules may name its bearer.
         serial: its number, by which it is revoked.
-        ends_s: when it ends, in seconds since 1970; infinite: it does not.
+        ends_s: when it ends, in seconds since 1970; infinite: never.
     """
 
     fleet: str
@@ -63,11 +64,11 @@ def certified(certificate: Mapping[str, Any], ends_s: float) -> Certified:
     """Read a certificate whose signature has been checked.
 
     Args:
-        certificate: what `ssl` says of it (`SSLObject.getpeercert`).
+        certificate: its contents from `ssl` (`SSLObject.getpeercert`).
         ends_s: its end, in seconds since 1970.
 
     Raises:
-        ValueError: it is none of ours; the message says why, as a clause.
+        ValueError: it is not a certificate of a fleet; the message says why, as a clause.
     """
     uris = [text for kind, text in certificate.get("subjectAltName", ()) if kind == "URI"]
     named = [found for uri in uris if (found := _NAMED.fullmatch(uri))]
@@ -82,25 +83,25 @@ def certified(certificate: Mapping[str, Any], ends_s: float) -> Certified:
 
 
 def fault_of_bearer(it: Certified, name: str, role: str, fleet: str) -> str:
-    """Return in what an agent or a person is not as its certificate says, as a sentence; empty: in nothing.
+    """Return how an agent or a person differs from its certificate, as a sentence; empty: not at all.
 
     Args:
-        it: what the certificate says.
-        name: the name on the mesh; that of a person's terminal is the person's, a dot and more.
+        it: the contents of the certificate.
+        name: the name on the mesh; a person's terminal has the person's name, a dot and more.
         role: the role on the mesh; that of a person is `client`.
         fleet: the fleet.
     """
     if not (name.startswith(f"{it.name}.") if it.is_person else name == it.name):
-        return f"it calls itself {name}, and its certificate is {it.name}'s ({it.role})"
+        return f"it calls itself {name}, but its certificate is {it.name}'s ({it.role})"
     if role != ("client" if it.is_person else it.role):
-        return f"{name} comes as {role}, and its certificate is for the role {it.role}"
+        return f"{name} comes as {role}, but its certificate is for the role {it.role}"
     if fleet != it.fleet:
-        return f"{name} says that it is of the fleet {fleet}, and its certificate says {it.fleet}"
+        return f"{name} says that it is of the fleet {fleet}, but its certificate says {it.fleet}"
     return ""
 
 
 def fault_of_end(it: Certified, time_s: float) -> str:
-    """Return whether a certificate has ended by a time, as a clause; empty: it has not."""
+    """Return that a certificate has ended by a time, as a clause; empty: it has not."""
     late_s = time_s - it.ends_s
     if late_s <= SLACK_S:
         return ""
@@ -120,10 +121,10 @@ Patterns = Annotated[tuple[Pattern, ...], msgspec.Meta(min_length=1, max_length=
 
 
 class Bearer(NamedTuple):
-    """To whom rules apply.
+    """The agent or person to whom rules apply.
 
     Attributes:
-        name: the name: that in the certificate, which a person's terminals have with a dot and more.
+        name: the name in the certificate; a person's terminals add a dot and more.
         role: `agent`, `environment`, `operator` or `observer`.
         groups: the groups.
     """
@@ -134,7 +135,7 @@ class Bearer(NamedTuple):
 
 
 class AccessRule(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Allow something. The order of rules never matters.
+    """A rule that allows something. The order of rules does not matter.
 
     Attributes:
         who: `role:ROLE`, `group:GROUP`, or a pattern of names (`*` for any letters, `?` for one).
@@ -165,8 +166,8 @@ def allows(rules: Iterable[AccessRule], who: Bearer, right: Right, on: Iterable[
         rules: the rules.
         who: the bearer.
         right: the right.
-        on: what it is for; if that has several names, one of them is enough.
-        at: the agent at which it would be done.
+        on: the target of the right; if it has several names, one of them is enough.
+        at: the agent at which the bearer would do it.
     """
     return any(
         (right in rule.may or EVERY in rule.may)
@@ -191,27 +192,27 @@ def _is_one_of(names: Iterable[str], patterns: Iterable[str]) -> bool:
 
 
 MOST_BYTES: Final = 128 * 1024
-"""A roster is no larger: it travels as one message, and each agent keeps it."""
+"""The largest roster: it is sent as one message, and each agent keeps it."""
 FALSE: Final = 3
 """The exit code of the process that checks a roster, if the authority has not signed it."""
 UNKEPT: Final = 4
-"""Its exit code if the authority has signed the roster, and the roster cannot be written beside the keys."""
+"""Its exit code if the authority has signed the roster, but it cannot be written to the key folder."""
 LATEST_S: Final = 30 * 86_400.0
-"""A roster that is dated so much later than the last one, and than the own clock, is not believed: a signer whose clock
-is wrong would end each person's certificate for good.
+"""A roster that is dated this much later than the last one and than the own clock is refused: a signer whose clock is
+wrong would end each person's certificate for good.
 """
 _BEFORE: Final = b"pancakes roster\n"
-"""Stands before what is signed, so that no other signature of the authority can be taken for one of a roster."""
+"""The prefix of signed bytes, so that no other signature of the authority is taken for that of a roster."""
 
 Text = Annotated[str, msgspec.Meta(max_length=300)]
 
 
 class Revoked(msgspec.Struct, frozen=True):
-    """A certificate that is believed no more.
+    """A revoked certificate.
 
     Attributes:
         serial: its number.
-        who: whose it is: `ROLE/NAME`.
+        who: its bearer: `ROLE/NAME`.
         why: the reason, for people.
     """
 
@@ -221,15 +222,15 @@ class Revoked(msgspec.Struct, frozen=True):
 
 
 class Roster(msgspec.Struct, frozen=True):
-    """What the authority says to all agents of its fleet.
+    """The rules and revocations of a fleet, from its authority to all agents.
 
     Attributes:
         fleet: the fleet.
-        number: it only rises.
+        number: its number, which only rises.
         signed_s: when it was signed, in seconds since 1970.
-        revoked: the certificates that are believed no more.
+        revoked: the revoked certificates.
         allow: what its members may do.
-        forced: whether agents must believe it whatever its date.
+        forced: whether agents must accept it whatever its date.
     """
 
     fleet: Text
@@ -241,11 +242,11 @@ class Roster(msgspec.Struct, frozen=True):
 
 
 class SignedRoster(msgspec.Struct, frozen=True):
-    """A roster as it travels and is kept.
+    """A roster as it is sent and stored.
 
     Attributes:
         payload: the roster, as JSON.
-        signature: the authority's, over what `signed_bytes` makes of that; hexadecimal.
+        signature: the authority's signature of `signed_bytes(payload)`, hexadecimal.
     """
 
     payload: str
@@ -257,7 +258,7 @@ _ROSTER: Final = codecs.json_decoder(Roster)
 
 
 def signed_bytes(payload: str) -> bytes:
-    """Return what is signed of a roster."""
+    """Return the bytes of a roster that are signed."""
     return _BEFORE + payload.encode()
 
 
@@ -265,30 +266,30 @@ def read_signed(text: bytes) -> tuple[SignedRoster, Roster]:
     """Read a roster. Its signature is not checked.
 
     Raises:
-        ValueError: it is none; the message says why, as a phrase.
+        ValueError: it is not a roster; the message says why, as a phrase.
     """
     if len(text) > MOST_BYTES:
-        raise ValueError(f"it has {len(text)} bytes, and {MOST_BYTES} are the most")
+        raise ValueError(f"it has {len(text)} bytes, but at most {MOST_BYTES} are allowed")
     try:
         signed = _SIGNED(text)
         return signed, _ROSTER(signed.payload.encode())
     except MALFORMED as error:
-        raise ValueError(f"it is no roster: {error}") from None
+        raise ValueError(f"it is not a roster: {error}") from None
 
 
 def fault_of_news(new: Roster, last: Roster | None, fleet: str, now_s: float) -> str:
-    """Return why a roster is not taken in the place of the last one, as a sentence; empty: it is.
+    """Return why a roster must not replace the last one, as a sentence; empty: it may.
 
     Args:
         new: the roster; its signature has been checked, or will be.
-        last: the last one; None: there is none.
+        last: the last one; None: none.
         fleet: the fleet.
         now_s: the own clock, in seconds since 1970.
     """
     if new.fleet != fleet:
-        return f"the roster {new.number} is of the fleet {new.fleet}, and this is {fleet}"
+        return f"the roster {new.number} is of the fleet {new.fleet}, but this is {fleet}"
     if last is not None and new.number <= last.number:
-        return f"the roster {new.number} is older than the roster {last.number}, which is known"
+        return f"the roster {new.number} is older than the roster {last.number}, which is already here"
     latest_s = max(now_s, last.signed_s if last is not None else 0.0) + LATEST_S
     if new.signed_s > latest_s and not new.forced:
         days = (new.signed_s - latest_s + LATEST_S) / 86_400
@@ -300,18 +301,18 @@ def fault_of_news(new: Roster, last: Roster | None, fleet: str, now_s: float) ->
 
 
 def fault_of_certified(it: Certified, fleet: str, roster: Roster | None, now_s: float) -> str:
-    """Return why the bearer of a certificate of the authority is not believed, as a clause; empty: it is.
+    """Return why a certificate of the authority is not trusted, as a clause; empty: it is.
 
-    A clock may be late, but never later than the last roster was signed.
+    A clock may be slow, but the time is never before the signing of the last roster.
 
     Args:
-        it: what the certificate says.
+        it: the contents of the certificate.
         fleet: the own fleet.
-        roster: the roster that is known; None: none is.
+        roster: the known roster; None: none.
         now_s: the own clock, in seconds since 1970.
     """
     if it.fleet != fleet:
-        return f"its certificate is of the fleet {it.fleet}, and ours of {fleet}"
+        return f"its certificate is of the fleet {it.fleet}, but ours of {fleet}"
     if roster is None:
         return fault_of_end(it, now_s)
     for revoked in roster.revoked:

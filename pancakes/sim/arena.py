@@ -35,12 +35,12 @@ WALL = "wall"
 
 
 class Solver:
-    """The solid things, as pymunk knows them. Discs are only brought up to date by `unload`.
+    """The solid things in pymunk. Only `unload` updates the discs.
 
     Args:
         half_width_m: walls stand at this and at minus this along x.
         half_height_m: the same along y.
-        began: takes the names of two things that begin to touch, and the position of the first that is no wall.
+        began: takes the names of two things that begin to touch, and the position of the first that is not a wall.
         ended: takes the names of two things that part.
     """
 
@@ -52,12 +52,12 @@ class Solver:
         ended: Callable[[tuple[str, str]], None],
     ) -> None:
         self._space = pymunk.Space()
-        # Defaults are made for pixels: these say how far bodies sink into each other, in metres, and how fast
-        # they are pushed apart again.
+        # The defaults are made for pixels. These set how far bodies sink into each other, in metres, and how fast they
+        # are pushed apart again.
         self._space.collision_slop = 0.0002
         self._space.collision_bias = 0.5**100
-        # Nothing is left of a velocity after a step, so that what a body is pushed with is its velocity: the one that
-        # its wheels or legs ask for. pymunk then takes away what contacts forbid, and moves bodies in the next step.
+        # A step keeps nothing of a velocity, so a body's force is its velocity: the one that its wheels or legs ask
+        # for. pymunk then removes what contacts forbid, and moves bodies in the next step.
         self._space.damping = 0.0
         self._space.on_collision(None, None, begin=self._begin, separate=self._separate)
         self._began, self._ended = began, ended
@@ -92,7 +92,7 @@ class Solver:
         self._names[shape] = disc.name
 
     def _make_room(self) -> None:
-        # A row for each body, in the order in which they were added, and one for that of all that stands.
+        # A row for each body, in the order in which they were added, and one for the static body.
         rows = len(self._bodies) + 1
         self._asked = numpy.zeros((rows, 4))
         self._pushes = numpy.zeros((rows, 3))
@@ -160,7 +160,7 @@ def _place(disc: Disc, body: pymunk.Body) -> None:
 
 
 _INSET_M = 0.05
-"""A ray begins that far within the body, so that what touches the sensor, or overlaps it a little, is seen."""
+"""A ray begins this far inside the body, so that things that touch the sensor, or overlap it a little, are seen."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -176,14 +176,14 @@ class Fan:
     """The rays of a ring of sensors.
 
     Args:
-        sensors: where they sit and look.
+        sensors: their places and directions.
         cone_rad: how wide each one sees.
-        rays: how many rays, spread evenly over the cone, stand for it.
+        rays: the number of rays, spread evenly over the cone.
         max_range_m: how far a ray reaches.
 
     Attributes:
-        bearings_rad: where they look, from straight ahead.
-        reach_m: what is farther away from the body's centre is seen by none of them.
+        bearings_rad: their directions, from straight ahead.
+        reach_m: things farther than this from the body's centre are not seen.
     """
 
     def __init__(self, sensors: Sequence[RangeSensor], cone_rad: float, rays: int, max_range_m: float) -> None:
@@ -195,10 +195,10 @@ class Fan:
         )
 
     def ranges(self, disc: Disc, others: Sequence[Disc], half_width_m: float, half_height_m: float) -> list[float]:
-        """Return for each sensor the distance to the nearest thing in its cone, infinity if there is none.
+        """Return for each sensor the distance to the nearest thing in its cone, infinity if the cone is free.
 
         Args:
-            disc: what carries the sensors; it does not see itself.
+            disc: the body with the sensors; it does not see itself.
             others: the discs that may be in reach.
             half_width_m: walls stand at this and at minus this along x.
             half_height_m: the same along y.
@@ -217,7 +217,7 @@ class Fan:
         max_range_m = self._max_range_m
         found = []
         for look in self._looks:
-            # Turned as the body is.
+            # Rotated with the body.
             at_x_m, at_y_m = look.x_m * cos - look.y_m * sin, look.x_m * sin + look.y_m * cos
             nearest_m = math.inf
             discs = [(dx_m - at_x_m, dy_m - at_y_m, radius_m) for dx_m, dy_m, radius_m in near]
@@ -273,7 +273,7 @@ class Incident:
         kind: `collision` or `out_of_bounds`.
         time_s: mission time.
         names: the bodies that were part of it, sorted; a wall is called `wall`.
-        x_m: where; of a collision, where the first body was that is no wall.
+        x_m: where; for a collision, the place of the first body that is not a wall.
         y_m: see `x_m`.
     """
 
@@ -393,7 +393,7 @@ class Arena:
         """Cast the rays of a ring of sensors on a disc.
 
         Returns:
-            For each sensor the distance to the nearest thing in its cone, infinity if there is none.
+            For each sensor the distance to the nearest thing in its cone, infinity if the cone is free.
         """
         by_x = self._discs_by_x()
         reach_m = fan.reach_m + self._widest_m

@@ -1,4 +1,4 @@
-"""A simulated battery, which what a robot does drains.
+"""A simulated battery, which is drained by what a robot does.
 
 Energy empties it, not time: rolling wheels, each reading of each kind of sensor, each mission packet that the agent
 sends to another, a radio that listens, and what the electronics always take. So a robot that senses or sends less
@@ -19,16 +19,16 @@ DEFAULT_SAMPLE_J: Final = {"ir": 0.01, "sonar": 0.03, "pose": 0.0, "battery": 0.
 
 @dataclass
 class BatterySettings:
-    """The charge of a battery, and what draws on it.
+    """The charge of a battery, and its consumers.
 
     Attributes:
         capacity_j: energy between full and empty. The default, a Khepera III's pack, lasts for hours.
         level: how full it is at the start, 0 to 1.
-        idle_w: what the electronics take all the time.
+        idle_w: the constant power of the electronics.
         motion_j_per_m: energy for each metre that a wheel rolls; both wheels count.
-        sample_j: energy for one reading, by the type of the device; a type that is not listed takes nothing.
+        sample_j: energy for one reading, by the type of the device; other types take nothing.
         packet_j: energy for one mission packet sent to another agent.
-        listen_w: what the radio takes while the agent's Network Service is awake. Each reading of the battery
+        listen_w: the power of the radio while the agent's Network Service is awake. Each request for the battery
             reports whether it is.
         noise_v: standard deviation of the measured voltage.
     """
@@ -47,7 +47,7 @@ class BatteryModel:
     """The charge of one battery.
 
     Args:
-        settings: its charge, and what draws on it.
+        settings: its charge, and its consumers.
         full_v: voltage when full.
         empty_v: voltage when empty; in between, the voltage follows the charge in a straight line.
 
@@ -66,7 +66,7 @@ class BatteryModel:
 
     @property
     def level(self) -> float:
-        """What is left of its range, from 0 (empty) to 1 (full)."""
+        """Its charge, from 0 (empty) to 1 (full)."""
         return self._charge_j / self._settings.capacity_j
 
     @property
@@ -76,15 +76,15 @@ class BatteryModel:
 
     @property
     def empty(self) -> bool:
-        """Whether nothing is left: the motors get no more power."""
+        """Whether it is empty: the motors get no more power."""
         return self._charge_j <= 0.0
 
     def level_at(self, voltage_v: float) -> float:
-        """Return the level that a measured voltage means, from 0 to 1: only its noise is beyond that."""
+        """Return the level for a measured voltage, clamped to 0 to 1, because noise may exceed that."""
         return min(max((voltage_v - self._empty_v) / (self._full_v - self._empty_v), 0.0), 1.0)
 
     def passed(self, elapsed_s: float, rolled_m: float) -> None:
-        """Time has passed, in which the wheels rolled `rolled_m` in all (both wheels, either way)."""
+        """Drain it for a time in which the wheels rolled `rolled_m` in all (both wheels, either way)."""
         self._idle_j += self._take(self._settings.idle_w * elapsed_s)
         self._motion_j += self._take(self._settings.motion_j_per_m * rolled_m)
         if self.listening:
@@ -95,18 +95,18 @@ class BatteryModel:
         self._sensing_j += self._take(self._settings.sample_j.get(device_type, 0.0))
 
     def packets_sent(self, total: int) -> None:
-        """Take how many mission packets the agent has sent so far; fewer than before is a new agent's count."""
+        """Take the agent's total of mission packets; fewer than before means that a new agent counts."""
         new = total - self._packets if total >= self._packets else total
         self._packets = total
         self._sending_j += self._take(self._settings.packet_j * new)
 
     @property
     def spent(self) -> Spent:
-        """What it has given so far, and for what."""
+        """The energy that it has given so far, by use."""
         return Spent(self._idle_j, self._motion_j, self._sensing_j, self._listening_j, self._sending_j)
 
     def _take(self, energy_j: float) -> float:
-        """Take energy, as far as there is any; return how much."""
+        """Take energy, as far as there is any; return how much was taken."""
         taken_j = energy_j if energy_j < self._charge_j else self._charge_j
         self._charge_j -= taken_j
         return taken_j

@@ -38,7 +38,7 @@ class Disc:
         vx_mps: its true velocity along the arena's x axis.
         vy_mps: the same along y.
         turning_radps: how fast it truly turns.
-        top_mps: the fastest that it moves, while nothing else is asked of it.
+        top_mps: its top speed with the present command.
     """
 
     def __init__(self, name: str, radius_m: float, x_m: float, y_m: float, angle_rad: float, mass_kg: float) -> None:
@@ -59,7 +59,7 @@ class Disc:
         self.top_mps = max(self.top_mps, abs(v_mps))
 
     def walk(self, vx_mps: float, vy_mps: float) -> None:
-        """Move with a velocity along the arena's axes from now on, and looks where it goes."""
+        """Move with a velocity along the arena's axes from now on, and look where it goes."""
         self._walk = (vx_mps, vy_mps)
         self.top_mps = max(self.top_mps, math.hypot(vx_mps, vy_mps))
         if vx_mps or vy_mps:
@@ -81,7 +81,7 @@ class Disc:
         return math.pi - (math.pi - theta_rad) % math.tau
 
     def course(self) -> tuple[float, float, float]:
-        """Return its heading, its true speed along that, and its true turning rate: all of them for one call."""
+        """Return its heading, its true speed along that, and its true turning rate, in one call."""
         theta_rad = self.theta_rad
         v_mps = self.vx_mps * math.cos(theta_rad) + self.vy_mps * math.sin(theta_rad)
         return theta_rad, v_mps, 0.0 if self._walk is not None else self.turning_radps
@@ -95,7 +95,7 @@ class Disc:
     def moved(
         self, x_m: float, y_m: float, angle_rad: float, vx_mps: float, vy_mps: float, turning_radps: float
     ) -> None:
-        """Take over what became of it in a step."""
+        """Take the results of a step."""
         self.x_m, self.y_m, self.angle_rad = x_m, y_m, angle_rad
         self.vx_mps, self.vy_mps, self.turning_radps = vx_mps, vy_mps, turning_radps
         asked_mps = math.hypot(*self._walk) if self._walk is not None else abs(self._forward_mps)
@@ -179,8 +179,8 @@ class MotionSettings:
         range_m: how far it sees.
         field_of_view_rad: how wide it sees, around the heading of its body.
         locates: whether it can measure where the motion is.
-        sees_robots: whether it takes notice of robots too.
-        least_speed_mps: what is slower does not move, for it.
+        sees_robots: whether it senses robots too.
+        least_speed_mps: slower things do not count as moving.
         bearing_noise_rad: standard deviation of the bearing that it measures.
         range_noise_m: standard deviation of the range that it measures.
     """
@@ -201,7 +201,7 @@ class SensorSettings:
     Attributes:
         x_m: where it stands.
         y_m: where it stands.
-        theta_rad: how it looks.
+        theta_rad: its heading.
         radius_m: its size, as a disc.
         motion: its motion sensor.
     """
@@ -215,12 +215,12 @@ class SensorSettings:
 
 @dataclass
 class NoiseSettings:
-    """How far the simulated hardware is off; all of it is drawn from the seed.
+    """The noise of the simulated hardware, drawn from the seed.
 
     Attributes:
         wheel: standard deviation of a wheel's speed, as a share of it, drawn for each command.
         ir_share: standard deviation of an infrared sensor's raw value, as a share of it.
-        ir_raw: standard deviation of an infrared sensor's raw value, in its own units, added to that.
+        ir_raw: standard deviation of an infrared sensor's raw value, in its own units, in addition.
         sonar_m: standard deviation of a sonar's range.
     """
 
@@ -239,7 +239,7 @@ class ContentSettings:
         robots: the robots.
         sensors: the sensor nodes.
         movers: the persons that walk through it.
-        noise: how far the hardware is off.
+        noise: the noise of the hardware.
     """
 
     arena: ArenaSettings = field(default_factory=ArenaSettings)
@@ -273,7 +273,7 @@ class Robot:
         model: see below.
         disc: likewise.
         battery: likewise.
-        wheel_noise: by which share of its speed a wheel is off, as a standard deviation.
+        wheel_noise: the noise of a wheel's speed, as a share of it, as a standard deviation.
         normal: draws the noise, of mean 0 and deviation 1.
 
     Attributes:
@@ -320,8 +320,8 @@ class Robot:
         """Follow a command.
 
         Args:
-            wheels: how fast both wheels are to run.
-            until_s: mission time until which the command is good.
+            wheels: the speeds of both wheels.
+            until_s: the mission time until which the command is valid.
             source: address of the task that gave it.
         """
         if self.battery.empty:
@@ -337,7 +337,7 @@ class Robot:
         self.driven_by = source.rpartition("/")[2]
 
     def hold(self) -> None:
-        """Stands still."""
+        """Stop the wheels."""
         self.disc.roll(0.0, 0.0)
         self._rolling_mps = 0.0
         self._good_until_s = math.inf
@@ -356,7 +356,7 @@ class Robot:
                 self._rolled_m += self._rolling_mps * dt_s
 
     def settle(self, elapsed_s: float) -> None:
-        """Take from the battery what the last `elapsed_s` cost."""
+        """Drain the battery for the last `elapsed_s`."""
         self.battery.passed(elapsed_s, self._rolled_m)
         self._rolled_m = 0.0
         if self.battery.empty:

@@ -37,7 +37,7 @@ class RowFile(Task):
 
         Attributes:
             path: the file; one that exists is overwritten.
-            rows_hz: how often there are rows, at most as often as there is news.
+            rows_hz: how often rows are written, at most as often as there is news.
         """
 
         path: FilePath
@@ -127,14 +127,14 @@ class Trajectory(WorldRecord):
 
 def trajectory_row(time_s: float, body: BodyState) -> str:
     numbers = f"{body.x_m:.6f},{body.y_m:.6f},{body.theta_rad:.6f},{body.v_mps:.6f},{body.omega_radps:.6f}"
-    # No minus before a zero; with all six decimals, these can only be a whole cell.
+    # No minus before a zero: with all six decimals it can only be a whole cell.
     numbers = numbers.replace("-0.000000", "0.000000")
     battery = "" if body.battery_v is None else f"{body.battery_v:.4f}"
     return f"{time_s:.3f},{body.name},{numbers},{battery},{body.driven_by}"
 
 
 class Consumption(WorldRecord):
-    """Write what each robot's battery has given, and for what (`sim.consumption`).
+    """Write the energy that each robot's battery has given, by use (`sim.consumption`).
 
     Energies are counted from the beginning of the world.
     """

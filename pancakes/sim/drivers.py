@@ -18,7 +18,7 @@ from pancakes.sim.robot_models import robot_model
 
 
 class _BusDevice:
-    """Be the end of one simulated device at the hardware bus."""
+    """The end of one simulated device on the hardware bus."""
 
     def __init__(self, context: DeviceContext, world: str) -> None:
         self._context = context
@@ -49,7 +49,7 @@ class _BusDevice:
 
     def _refused(self, reason: str) -> None:
         self.waiting = False
-        if reason != self._refusal:  # the same reason at each sample needs no line each time
+        if reason != self._refusal:  # the same reason at each sample is logged only once
             self._refusal = reason
             self._context.log("error", reason)
 
@@ -59,7 +59,7 @@ class _BusDevice:
 
 
 class _SimulatedDevice:
-    """Open and close the hardware bus for a driver, whose settings say which world and which body."""
+    """Open and close the hardware bus for a driver; its settings name the world and the body."""
 
     context: DeviceContext
     settings: Any
@@ -98,7 +98,7 @@ class SimulatedSensor(_SimulatedDevice, Sensor):
         self._attach()
 
     def sample(self) -> Any | None:
-        """Ask for a reading, which comes later. One request is under way at a time."""
+        """Ask for a reading, which comes later. Only one request is pending at a time."""
         bus = self._bus
         if bus is not None and not bus.waiting:
             packets_sent = self.context.mission_packets_sent() if self.reports_radio else None
@@ -179,7 +179,7 @@ class DifferentialDrive(_SimulatedDevice, Actuator):
         self._attach(model.name)
 
     def apply(self, command: Twist, ttl_s: float, source: str) -> None:
-        """Run the wheels. Without a connection to the world the command is lost, as the wheels are."""
+        """Run the wheels. Without a connection to the world, the command is lost."""
         if self._bus is None:
             return
         wheels = self._kinematics.wheels(command)

@@ -1,6 +1,6 @@
 """The hardware bus: how a simulated robot's devices talk to the simulated world. Messages, client and server.
 
-It stands for the wires inside a robot: it has connections of its own, is not affected by faults of the mesh, and costs
+It plays the wires inside a robot: it has connections of its own, is not affected by faults of the mesh, and costs
 no battery. Requests go to the world and replies come back, each in a frame as on the mesh. `BusClient` is the devices'
 end, one connection for all simulated devices of an agent; `BusServer` is the world's end.
 """
@@ -24,11 +24,11 @@ from pancakes.util.codecs import MALFORMED, why_malformed
 
 
 class Attach(msgspec.Struct, tag_field="is", tag="attach", array_like=True, frozen=True):
-    """A device begins to use a body; refused if it cannot.
+    """A request of a device to use a body.
 
     Attributes:
         body: the body's name.
-        device: the device's name, which stands on all replies to it.
+        device: the device's name, which all replies to it carry.
         type: the device's type.
         model: the kind of robot that a drive believes it drives; empty for sensors.
     """
@@ -47,7 +47,7 @@ class Drive(msgspec.Struct, tag_field="is", tag="drive", array_like=True, frozen
         device: the device's name.
         left_mps: speed of the left wheel.
         right_mps: speed of the right wheel.
-        ttl_s: for how long that is good, in mission seconds; the wheels stand afterwards.
+        ttl_s: its time to live, in mission seconds; then the wheels stop.
         source: address of the task that commands it.
     """
 
@@ -92,7 +92,7 @@ class Attached(msgspec.Struct, tag_field="is", tag="attached", array_like=True, 
 
 
 class Reading(msgspec.Struct, tag_field="is", tag="reading", array_like=True, frozen=True):
-    """What a sensor says: the body of a packet of the device's type."""
+    """A reading of a sensor: the body of a packet of the device's type."""
 
     device: str
     type: str
@@ -100,7 +100,7 @@ class Reading(msgspec.Struct, tag_field="is", tag="reading", array_like=True, fr
 
 
 class RawReading(msgspec.Struct, tag_field="is", tag="reading", array_like=True, frozen=True):
-    """A `Reading` as it arrives: its value is still packed, so that it is made into its class at once."""
+    """A `Reading` as it arrives: its value is still encoded, so that it is decoded directly to its class."""
 
     device: str
     type: str
@@ -119,7 +119,7 @@ class RawReading(msgspec.Struct, tag_field="is", tag="reading", array_like=True,
 
 
 class Refused(msgspec.Struct, tag_field="is", tag="refused", array_like=True, frozen=True):
-    """A request cannot be met, and why."""
+    """The refusal of a request, and why."""
 
     device: str
     reason: str
@@ -145,11 +145,11 @@ def encode(message: Request | Reply) -> bytes:
 
 
 class BusReader(Generic[_Message]):
-    """Make messages of the bytes that come from the other end; see `RequestReader` and `ReplyReader`.
+    """Decode messages from the other end; see `RequestReader` and `ReplyReader`.
 
     Args:
-        decode: makes the messages of a frame.
-        called: what a message is called.
+        decode: decodes the messages of a frame.
+        called: the name of a message, for errors.
     """
 
     def __init__(self, decode: Callable[[Any], list[_Message]], called: str) -> None:
@@ -161,12 +161,12 @@ class BusReader(Generic[_Message]):
         """Take bytes, and return the messages that are now complete.
 
         Raises:
-            RemoteProtocolError: the bytes are no such messages.
+            RemoteProtocolError: the bytes are not such messages.
         """
         try:
             return [message for payload in self._frames.feed(data) for message in self._decode(payload)]
         except MALFORMED as error:
-            raise RemoteProtocolError(f"that is no {self._called}: {why_malformed(error)}") from None
+            raise RemoteProtocolError(f"that is not a {self._called}: {why_malformed(error)}") from None
 
 
 RequestReader: Final = partial(BusReader[Request], _REQUESTS, "request to a simulated world")
@@ -182,12 +182,12 @@ _WARN_AFTER_S = 5.0
 
 @dataclass(frozen=True, slots=True)
 class Attachment:
-    """A device that uses a body, and what becomes of the replies to it.
+    """A device that uses a body, and the callbacks for its replies.
 
     The functions are called in the transport's thread.
 
     Attributes:
-        attach: says which device uses which body.
+        attach: the request with the device and the body.
         reading: takes a reading.
         refused: takes the reason why a request was refused.
         lost: called when the world is gone: replies that are due will not come.
@@ -214,7 +214,7 @@ class BusClient:
         self._transport = transport
         self._address = address
         self._log = log
-        self._lock = Lock()  # guards the two below; never kept over a call
+        self._lock = Lock()  # guards the two below; never held during a call
         self._attachments: dict[str, Attachment] = {}
         self._closed = False
         self._connection: Connection | None = None
@@ -245,7 +245,7 @@ class BusClient:
         return True
 
     def close(self) -> None:
-        """Close the connection and dials no more."""
+        """Close the connection and stop dialling."""
         with self._lock:
             self._closed = True
         retry, connection = self._retry, self._connection
@@ -279,7 +279,7 @@ class BusClient:
             attachment.refused(reply.reason)
 
     def lost(self, reason: str) -> None:
-        """Take that the connection is gone, or could not be made."""
+        """Handle a lost or failed connection."""
         was_reached, self._reached = self._reached, False
         self._connection = None
         if self._closed:
@@ -290,7 +290,7 @@ class BusClient:
                 attachment.lost()
         elif self._waited_s >= _WARN_AFTER_S and not self._warned:
             self._warned = True
-            self._log("warning", f"the world at {self._address} does not answer ({reason}); trying on")
+            self._log("warning", f"the world at {self._address} does not answer ({reason}); still trying")
         delay_s = self._retry_s
         self._waited_s += delay_s
         self._retry_s = min(2.0 * delay_s, _LONGEST_RETRY_S)
@@ -302,7 +302,7 @@ class BusClient:
 
 
 class _DialedConnection(ConnectionHandler):
-    """One attempt at a connection, and the connection if it stands."""
+    """One attempt at a connection, and the connection if it succeeds."""
 
     def __init__(self, client: BusClient) -> None:
         self._client = client
@@ -336,7 +336,7 @@ class BusServer:
     """Take requests from simulated devices and pass them to the actor that owns the world.
 
     Args:
-        transport: where connections come in.
+        transport: where it listens.
         call: runs a function in the world's actor, later, from any thread.
         serve: answers a request; called in the world's actor.
         log: takes (level, text); called from the transport's thread.
@@ -351,7 +351,7 @@ class BusServer:
         self._address = ""
 
     def listen(self, address: str) -> str:
-        """Take connections at `address` from now on; return the address that was really taken.
+        """Take connections at `address` from now on; return the address with the actual port.
 
         Raises:
             PancakesError: the address is in use, or is no address.
@@ -360,7 +360,7 @@ class BusServer:
         return self._address
 
     def close(self) -> None:
-        """Answer nothing more, free the address, and close the connections, which tells the devices.
+        """Stop answering, free the address, and close the connections, so that the devices notice.
 
         A world that is started again can listen there.
         """

@@ -19,18 +19,18 @@ from pancakes.errors import LocalProtocolError, RemoteProtocolError
 from pancakes.util import codecs
 
 ARRAY_EXTENSION: Final = 1
-"""Number of the msgpack extension type of a numpy array: its dtype, shape and raw bytes."""
+"""The number of the msgpack extension type of a numpy array: its dtype, shape and raw bytes."""
 
 _DTYPE = re.compile(r"\A(?:\|b1|\|[iu]1|[<>][iu][248]|[<>]f[248]|[<>]c(?:8|16))\Z")
 
 _ALIAS: Final[Any] = getattr(typing, "TypeAliasType", ())
-"""What `type X = ...` makes; nothing before Python 3.12."""
+"""The type of `type X = ...`; none before Python 3.12."""
 
 _Side = Annotated[int, msgspec.Meta(ge=0, le=2**31)]
 
 
 class _ArrayRow(msgspec.Struct, array_like=True, forbid_unknown_fields=True, gc=False):
-    """The content of a numpy array's extension type."""
+    """The contents of the extension type of numpy arrays."""
 
     dtype: str
     shape: Annotated[tuple[_Side, ...], msgspec.Meta(max_length=32)]
@@ -38,9 +38,9 @@ class _ArrayRow(msgspec.Struct, array_like=True, forbid_unknown_fields=True, gc=
 
 
 def _of_numpy(name: str) -> Any:
-    """Return a class of numpy; an empty tuple where there can be no instance of it yet, as nothing has imported numpy.
+    """Return a class of numpy; an empty tuple if numpy is not imported yet, so no instance can exist.
 
-    While another thread imports numpy for the first time, the module is there and has no classes.
+    While another thread imports numpy for the first time, the module exists but has no classes.
     """
     return getattr(sys.modules.get("numpy"), name, ())
 
@@ -51,12 +51,12 @@ def is_array(value: Any) -> bool:
 
 
 def is_number(value: Any) -> bool:
-    """Return whether a value is one of numpy's own numbers or booleans, such as what `array.sum()` returns."""
+    """Return whether a value is a numpy number or boolean, such as what `array.sum()` returns."""
     return isinstance(value, _of_numpy("generic")) and value.dtype.kind in "biuf"
 
 
 def is_number_type(kind: type) -> bool:
-    """Return whether a type is that of one of numpy's own numbers, such as `numpy.float64`."""
+    """Return whether a type is one of numpy's numbers, such as `numpy.float64`."""
     return issubclass(kind, _of_numpy("generic"))
 
 
@@ -64,26 +64,26 @@ def is_number_type(kind: type) -> bool:
 
 
 def extension_from_array(array: Any, where: str) -> msgspec.msgpack.Ext:
-    """Return an array as msgpack has it.
+    """Return an array as a msgpack extension.
 
     Args:
         array: the array.
-        where: what leads to it, for the sentence of an error.
+        where: the path to it, for error messages.
 
     Raises:
         LocalProtocolError: it contains anything but numbers and booleans.
     """
     dtype = array.dtype.str
     if not _DTYPE.match(dtype):
-        raise LocalProtocolError(f"{where} is an array of {array.dtype}, and only numbers and booleans travel")
+        raise LocalProtocolError(f"{where} is an array of {array.dtype}, and only numbers and booleans can be sent")
     return msgspec.msgpack.Ext(ARRAY_EXTENSION, codecs.encode((dtype, array.shape, array.tobytes())))
 
 
 def array_from_extension(code: int, data: bytes | memoryview) -> Any:
-    """Make a read-only numpy array; its memory is the bytes that it came in.
+    """Make a read-only numpy array that shares the memory of the received bytes.
 
     Raises:
-        RemoteProtocolError: the bytes are no array of numbers or booleans.
+        RemoteProtocolError: the bytes are not an array of numbers or booleans.
     """
     if code != ARRAY_EXTENSION:
         raise RemoteProtocolError(f"a frame contains an extension type that is not ours: {code}")
@@ -96,7 +96,7 @@ def array_from_extension(code: int, data: bytes | memoryview) -> Any:
     except (ValueError, TypeError) as error:  # msgspec's ValidationError is a ValueError
         raise RemoteProtocolError(f"a frame contains a malformed array: {error}") from None
     if not _DTYPE.match(array.dtype):
-        raise RemoteProtocolError(f"a frame contains an array of {array.dtype!r}, and only numbers and booleans travel")
+        raise RemoteProtocolError(f"a frame contains an array of {array.dtype!r}, not of numbers or booleans")
     if math.prod(array.shape) * int(array.dtype[2:]) != len(array.raw):
         raise RemoteProtocolError(f"a frame contains an array of the shape {array.shape} in {len(array.raw)} bytes")
     import numpy
@@ -105,10 +105,10 @@ def array_from_extension(code: int, data: bytes | memoryview) -> Any:
 
 
 def saved_array(value: Any) -> msgspec.msgpack.Ext:
-    """Return an array in what a task carries as msgpack has it: msgspec's `enc_hook`.
+    """Return an array of a task's settings or state as a msgpack extension: msgspec's `enc_hook`.
 
     Raises:
-        TypeError: it is no array, or one of anything but numbers and booleans.
+        TypeError: it is not an array of numbers or booleans.
     """
     if not is_array(value):
         raise TypeError(f"it contains a value of the class {type(value).__name__}, which cannot be saved")
@@ -130,7 +130,7 @@ def check_items(array: Any) -> None:
 
 
 def unaliased(kind: Any) -> Any:
-    """Return a type with what an alias stands for in the alias's place: from numpy 2.5 on, `NDArray` is one."""
+    """Return a type with type aliases replaced: from numpy 2.5 on, `NDArray` is one."""
     while True:
         alias = kind if isinstance(kind, _ALIAS) else get_origin(kind)
         if not isinstance(alias, _ALIAS):
@@ -146,7 +146,7 @@ def is_array_type(kind: Any) -> bool:
 
 
 def fault_of_array_type(kind: Any) -> str:
-    """Say what is wrong with the type of an array that is to be saved; empty: nothing."""
+    """Return why arrays of a type cannot be saved; empty: they can."""
     wanted = _dtype_of(kind)
     if wanted is None or isinstance(wanted, type) or _DTYPE.match(wanted.str):
         return ""
@@ -156,8 +156,8 @@ def fault_of_array_type(kind: Any) -> str:
 def array_of(kind: Any, value: Any) -> Any:
     """Make a new array for a field of settings or state: msgspec's `dec_hook`.
 
-    An array keeps its dtype and shape. A list becomes an array of the type that the field names; where it names none,
-    of float64, or of booleans where all items are.
+    An array keeps its dtype and shape. A list becomes an array of the field's item type. If the field has none, it
+    becomes float64, or boolean if all items are booleans.
 
     Args:
         kind: the field's type, such as `numpy.ndarray` or `NDArray[numpy.float32]`.
@@ -186,7 +186,7 @@ def array_of(kind: Any, value: Any) -> Any:
         raise ValueError("expected a list of numbers, or lists of them")
     kinds = set(_kinds_in(value))
     if not kinds <= {int, float} and kinds != {bool}:
-        raise ValueError("expected a list of numbers, or lists of them, or the same of true and false alone")
+        raise ValueError("expected a list of numbers, or lists of them, or the same of only true and false")
     if wanted is None or isinstance(wanted, type):
         wanted = _usual(wanted, kinds)
     if (wanted.kind == "b") != (kinds == {bool}) and kinds:
@@ -195,7 +195,7 @@ def array_of(kind: Any, value: Any) -> Any:
         raise ValueError("expected whole numbers")
     try:
         given = numpy.array(value) if kinds else numpy.array(value, wanted)
-        with numpy.errstate(all="ignore"):  # what does not fit is found below
+        with numpy.errstate(all="ignore"):  # values that do not fit are found below
             made = given.astype(wanted)
     except OverflowError:
         raise ValueError(f"has a number that {wanted} cannot represent") from None
@@ -208,7 +208,7 @@ def array_of(kind: Any, value: Any) -> Any:
 
 
 def _dtype_of(kind: Any) -> Any:
-    """The type of an array's items: a dtype, an abstract class such as `numpy.floating`, or None if any will do."""
+    """Return the type of an array's items: a dtype, an abstract class such as `numpy.floating`, or None for any."""
     import numpy
 
     arguments = get_args(unaliased(kind))
@@ -234,7 +234,7 @@ def _usual(abstract: type | None, kinds: set[type]) -> Any:
 
 
 def _kinds_in(value: Any) -> Iterator[type]:
-    """The types of what stands in lists that stand in lists."""
+    """Yield the types of the values in nested lists."""
     ahead = [value]
     while ahead:
         for item in ahead.pop():
@@ -245,13 +245,13 @@ def _kinds_in(value: Any) -> Iterator[type]:
 
 
 def as_list(array: Any) -> Any:
-    """Return an array, or one of numpy's numbers, as lists of numbers; a complex number is the list of its two parts.
+    """Return an array or numpy number as lists of numbers; a complex number is a list of its two parts.
 
     Raises:
-        TypeError: it is no array.
+        TypeError: it is not an array.
     """
     if not hasattr(array, "tolist"):
-        raise TypeError(f"a {type(array).__name__} is no plain value")
+        raise TypeError(f"a {type(array).__name__} is not a plain value")
     if getattr(getattr(array, "dtype", None), "kind", "") == "c":
         import numpy
 
@@ -260,7 +260,7 @@ def as_list(array: Any) -> Any:
 
 
 def without_arrays(value: Any) -> Any:
-    """Return a plain value with lists in place of arrays, however deep in mappings and lists; all else as it is."""
+    """Return a plain value with all arrays in it, at any depth, replaced by lists."""
     if is_array(value) or is_number(value):
         return as_list(value)
     if isinstance(value, Mapping):
@@ -271,7 +271,7 @@ def without_arrays(value: Any) -> Any:
 
 
 def alike(one: Any, other: Any) -> bool:
-    """Return whether two plain values are equal; arrays are where their dtype, shape and bytes are."""
+    """Return whether two plain values are equal; arrays are equal if their dtype, shape and bytes are."""
     if is_array(one) or is_array(other):
         if not (is_array(one) and is_array(other)):
             return False

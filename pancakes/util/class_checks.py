@@ -1,7 +1,7 @@
 """Check the classes that users write (tasks, services, drivers, costs) when each class is defined.
 
 A class is refused with a `ClassError`, which has the file, the line and what to write instead, if one of its methods
-cannot be called as Pancakes calls it, if `@on` or `@every` stands where it does nothing, if it replaces a name of
+cannot be called as Pancakes calls it, if `@on` or `@every` is where it does nothing, if it replaces a name of
 Pancakes, or if Pancakes cannot make an instance of it. So a mistake shows at import, and not hours later when the
 method is called. Only what the user wrote is checked: the class itself and its mix-ins (`parts_of`). Which settings
 and state can be saved is checked in `pancakes.supervision.serializable_types`; log levels are checked in
@@ -25,11 +25,11 @@ from pancakes.errors import ClassError
 
 
 def place_of_function(function: Callable[..., Any]) -> str:
-    """Return the file and line of a function's `def`; its module where it has none, as what is built into Python."""
+    """Return the file and line of a function's `def`; its module if it has none, such as a built-in function."""
     code = getattr(function, "__code__", None)
     if code is None:
         return str(getattr(function, "__module__", None) or "a module")
-    first: int = code.co_firstlineno  # of its first decorator, where it has one
+    first: int = code.co_firstlineno  # of its first decorator, if it has one
     words = (f"def {code.co_name}", f"async def {code.co_name}")
     for number, line in enumerate(linecache.getlines(code.co_filename)[first - 1 :]):
         if line.strip().startswith(words):
@@ -38,7 +38,7 @@ def place_of_function(function: Callable[..., Any]) -> str:
 
 
 def place_of_field(cls: type, field: str = "") -> str:
-    """Return the file and line of a field of a class, or of the class; its module where there is no text of it."""
+    """Return the file and line of a field of a class, or of the class; its module if the source is missing."""
     for owner in cls.__mro__ if field else (cls,):
         if field and field not in inspect.get_annotations(owner):
             continue
@@ -51,7 +51,7 @@ def place_of_field(cls: type, field: str = "") -> str:
 
 
 def _line_of(field: str, lines: list[str]) -> int:
-    """Return in which line of a class's text, from 0, a field is declared; 0 where none is found."""
+    """Return the line, from 0, of a class's source that declares a field; 0 if none is found."""
     try:
         (defined,) = ast.parse(textwrap.dedent("".join(lines))).body
     except (SyntaxError, ValueError):
@@ -69,7 +69,7 @@ def _module_of(cls: type) -> str:
 
 _OWN: Final = "pancakes."
 MADE_AS: Final = "_made_as"
-"""The attribute of each base that users derive from; a class that has it was judged when it was made."""
+"""The attribute of each base that users derive from; a class with it was checked when it was defined."""
 
 
 def is_own(cls: type) -> bool:
@@ -78,24 +78,24 @@ def is_own(cls: type) -> bool:
 
 
 def parts_of(cls: type) -> list[type]:
-    """Return a class, and what is mixed into it that was not judged when it was made."""
+    """Return a class, and those of its mix-ins that were not checked when they were defined."""
     own = [it for it in cls.__mro__ if is_own(it)]
     mixed_in = [it for it in cls.__mro__[1:] if not hasattr(it, MADE_AS)]
     return [cls, *(it for it in mixed_in if not any(issubclass(mine, it) for mine in own))]
 
 
 def owner_of(cls: type, name: str) -> type | None:
-    """Return the class that a class has an attribute from; None: it has none of this name."""
+    """Return the class that a class has an attribute from; None: no such attribute."""
     return next((it for it in cls.__mro__ if name in vars(it)), None)
 
 
 def is_judged(cls: type) -> bool:
-    """Return whether a class needs no judgement: the tests judge Pancakes' own, which takes a sixth of a start."""
+    """Return whether a class needs no check: the tests check Pancakes' own, as it would slow each start."""
     return is_own(cls)
 
 
 def given_in(cls: type) -> Iterator[tuple[type, str, Any]]:
-    """Yield what the author of a class gives it: in which class it stands, its name, and what it is.
+    """Yield the attributes that the author of a class defines: the class it is in, its name, and its value.
 
     For a class of Pancakes' own it yields nothing; see `is_judged`.
     """
@@ -111,24 +111,24 @@ _STARRED: Final = inspect.CO_VARARGS | inspect.CO_VARKEYWORDS
 
 
 def check_called(function: Any, given: Sequence[str], caller: str, write: str) -> None:
-    """Refuse what cannot be called as it will be.
+    """Refuse a function that cannot be called as Pancakes will call it.
 
     Args:
-        function: a function, or whatever else can be called.
-        given: the names of what it is given, in order; `self` among them.
-        caller: what calls it and with what, as a clause: `@every calls it with a Tick`.
+        function: a function or another callable.
+        given: the names of its arguments, in order, including `self`.
+        caller: what calls it, and with what arguments, as a clause: `@every calls it with a Tick`.
         write: what to write instead: `def blink(self, tick: Tick) -> None`.
 
     Raises:
-        ClassError: it is no function, is `async def`, has a `yield`, or takes other arguments. The sentence names its
-            file and line.
+        ClassError: it is not a function, is `async def`, has a `yield`, or takes other arguments. The sentence names
+            its file and line.
     """
     if isinstance(function, (staticmethod, classmethod)):
         raise ClassError(
             f"{_head(function.__func__)} is a {type(function).__name__}, and {caller} and the task: write `{write}`"
         )
     if not callable(function):
-        raise ClassError(f"{function!r} is no method, and {caller}: write `{write}`")
+        raise ClassError(f"{function!r} is not a method, and {caller}: write `{write}`")
     check_runs(function, write)
     if not takes(function, len(given)):
         raise ClassError(f"{_head(function)} takes {_parameters(function)}, and {caller}: write `{write}`")
@@ -139,29 +139,29 @@ def check_runs(function: Any, write: str) -> None:
 
     Args:
         function: what is called.
-        write: what to write instead; empty: `def` and no more is said.
+        write: what to write instead; empty: only `def`.
 
     Raises:
         ClassError: it is `async def`, or has a `yield`.
     """
     if inspect.iscoroutinefunction(function) or inspect.isasyncgenfunction(function):
         raise ClassError(
-            f"{_head(function)} is `async def`, and an actor awaits nothing: write"
-            f" `{write or 'def'}`, and let what it would wait for come as a packet (@on) or at a time (@every, after)"
+            f"{_head(function)} is `async def`, and an actor cannot await: write"
+            f" `{write or 'def'}`, and wait for a packet with @on, or for a time with @every or after"
         )
     if inspect.isgeneratorfunction(function):
         raise ClassError(
-            f"{_head(function)} has a `yield`, so that a call of it does nothing: write `{write or 'def'}` without it"
+            f"{_head(function)} has a `yield`, so a call does nothing: write `{write or 'def'}` without it"
         )
 
 
 def check_overrides(cls: type) -> None:
-    """Refuse methods of a class that stand in for a method of Pancakes, and cannot be called as that one is.
+    """Refuse methods of a class that override a method of Pancakes but cannot be called like it.
 
-    Those that are mixed into it are judged as well.
+    Its mix-ins are checked too.
 
     Raises:
-        ClassError: one is no function, is `async def`, does nothing when it is called, or takes other arguments.
+        ClassError: one is not a function, is `async def`, does nothing when it is called, or takes other arguments.
     """
     for part, name, value in given_in(cls):
         if name.startswith("_"):
@@ -173,7 +173,7 @@ def check_overrides(cls: type) -> None:
 
 
 def definition_of(original: Any, name: str = "") -> str:
-    """Return the `def` of a method, as a person would write it in its place."""
+    """Return the `def` line of a method, as a user would write it."""
     function = getattr(original, "__func__", original)
     parameters = ", ".join(map(str, _bare(function))) if callable(function) else "self"
     mark = f"@{type(original).__name__} " if isinstance(original, (classmethod, staticmethod)) else ""
@@ -185,7 +185,7 @@ def _check_override(part: type, name: str, value: Any, original: Any) -> None:
     function = getattr(value, "__func__", value)
     if type(value) is not type(original) or not isinstance(function, FunctionType):
         raise ClassError(
-            f"{_place(part, function)}: {part.__qualname__}.{name} is {_kind(value)}, and stands in for"
+            f"{_place(part, function)}: {part.__qualname__}.{name} is {_kind(value)}, and overrides"
             f" {meant.__qualname__}{_parameters(meant)}, which Pancakes calls: write `{write}`"
         )
     if not inspect.iscoroutinefunction(meant) and inspect.iscoroutinefunction(function):
@@ -200,7 +200,7 @@ def _check_override(part: type, name: str, value: Any, original: Any) -> None:
     named = [it.name for it in parameters if it.kind is it.KEYWORD_ONLY]
     if not takes(function, len(positional), named):
         raise ClassError(
-            f"{_head(function)} takes {_parameters(function)}, and stands in for"
+            f"{_head(function)} takes {_parameters(function)}, and overrides"
             f" {meant.__qualname__}{_parameters(meant)}, which Pancakes calls: write `{write}`"
         )
 
@@ -211,14 +211,14 @@ def _place(part: type, function: Any) -> str:
 
 
 def _kind(value: Any) -> str:
-    """What stands in a class in the place of a method."""
+    """Return what a class has in place of a method, as a phrase."""
     if isinstance(value, (FunctionType, classmethod, staticmethod, property, type)) or callable(value):
         return f"a {type(value).__name__}"
     return repr(value)
 
 
 def _plain_count(function: Any) -> int | None:
-    """How many parameters a function has; None where they are not all plain ones, and it takes a closer look."""
+    """Return how many parameters a function has; None if they are not all plain ones."""
     code = getattr(function, "__code__", None)
     if code is None or code.co_kwonlyargcount or code.co_posonlyargcount or code.co_flags & _STARRED:
         return None
@@ -226,13 +226,13 @@ def _plain_count(function: Any) -> int | None:
 
 
 def takes(function: Callable[..., Any], count: int, named: Collection[str] = ()) -> bool:
-    """Return whether a function can be called with so many arguments and those names."""
+    """Return whether a function can be called with `count` arguments and these names."""
     if not named and _plain_count(function) == count:
-        return True  # nearly all; a signature takes 10 µs
+        return True  # nearly always; a signature takes 10 µs
     try:
         signature = inspect.signature(function, follow_wrapped=False)
     except (TypeError, ValueError):
-        return True  # what is built into Python does not tell
+        return True  # built-in functions may have no signature
     try:
         signature.bind(*range(count), **dict.fromkeys(named))
     except TypeError:
@@ -250,7 +250,7 @@ def _parameters(function: Callable[..., Any]) -> str:
 
 
 def _bare(function: Callable[..., Any]) -> list[inspect.Parameter]:
-    """The parameters as a person would write them, without their types."""
+    """Return the parameters as a user would write them, without types."""
     return [it.replace(annotation=it.empty) for it in inspect.signature(function).parameters.values()]
 
 
@@ -261,18 +261,18 @@ PERIOD: Final = "__period__"
 
 
 def marks_of(function: Any) -> str:
-    """Return which of the two stands at a function, as a person would write it; empty: none does."""
+    """Return which of the two decorates a function, as a user would write it; empty: neither."""
     if hasattr(function, PERIOD):
         return "@every"
     return "@on" if hasattr(function, SUBSCRIPTIONS) else ""
 
 
 def check_marks(cls: type, reacts: str = "") -> None:
-    """Refuse a class with `@on` or `@every` where it would do nothing, or would have a hook called a second time.
+    """Refuse a class with `@on` or `@every` where it would do nothing, or would call a hook a second time.
 
     Args:
         cls: the class.
-        reacts: what the class is, if it reacts to no packet and no time: `a driver`; empty: it reacts.
+        reacts: what the class is, if it does not react to packets or time: `a driver`; empty: it reacts.
 
     Raises:
         ClassError: names the file, the line and the method.
@@ -297,8 +297,8 @@ def check_marks(cls: type, reacts: str = "") -> None:
         hook = next((vars(it)[name] for it in behind if is_own(it) and name in vars(it)), None)
         if hook is not None and not marks_of(hook):
             raise ClassError(
-                f"{head} is decorated with {mark}, and Pancakes calls {name} itself at its own time: give what"
-                f" {mark} calls a method of its own, which {name} may call too"
+                f"{head} is decorated with {mark}, and Pancakes calls {name} itself: write another method for"
+                f" {mark}, which {name} may call too"
             )
 
 
@@ -318,12 +318,12 @@ _HOLD_FUNCTIONS: Final = (
 
 
 def check_own_names(cls: type, base: type, hooks: Collection[str], kept: Collection[str] = ()) -> None:
-    """Refuse a class that gives a name of Pancakes to something of its own.
+    """Refuse a class that redefines a name of Pancakes.
 
     Args:
-        cls: the class that is made.
-        base: the base that users derive from; what it has is Pancakes', and what is between the two is not.
-        hooks: the names that a class may give a meaning of its own.
+        cls: the new class.
+        base: the base that users derive from; its names are Pancakes'. Classes between the two are the user's.
+        hooks: the names that a class may redefine.
         kept: the attributes that its methods may set.
 
     Raises:
@@ -355,7 +355,7 @@ def _check(cls: type, base: type, own: frozenset[str], hooks: Collection[str], k
 
 
 def _functions(value: Any) -> Iterator[FunctionType]:
-    """The functions that something in a class is made of: those of a property, and what a decorator wraps."""
+    """Yield the functions in a value of a class: those of a property, and one that a decorator wraps."""
     if isinstance(value, FunctionType):
         yield value
     for name in ("fget", "fset", "fdel", "func", "__func__", "__wrapped__"):
@@ -373,13 +373,13 @@ def _names_in(code: CodeType) -> Iterator[str]:
 
 @cache
 def _names_of(base: type) -> frozenset[str]:
-    """All names that a class of Pancakes defines or declares, without those that Python gives all classes."""
+    """Return all names that a class of Pancakes defines or declares, without those of `object`."""
     names = {name for one in base.__mro__[:-1] for name in (*vars(one), *inspect.get_annotations(one))}
     return frozenset(name for name in names if not (name.startswith("__") and name.endswith("__")))
 
 
 def _stores(function: FunctionType) -> Iterator[tuple[str, int, str]]:
-    """The attributes that a method gives or takes from its first argument, with the lines, and which it does."""
+    """Yield the attributes of its first argument that a method sets or deletes: name, line, and which of both."""
     code = function.__code__
     if code.co_argcount:
         yield from _stores_in(code, code.co_varnames[0])
@@ -401,7 +401,7 @@ def _stores_in(code: CodeType, first: str) -> Iterator[tuple[str, int, str]]:
             if _loads(before, first) or (before.opname == "SWAP" and augments_self):
                 yield instruction.argval, line, verb
         elif instruction.opname == "LOAD_ATTR" and before.opname == "COPY" and before.argval == 1:
-            # `self.x += 1` keeps a copy of self below what it computes, and brings it to the top at the end.
+            # `self.x += 1` keeps a copy of self on the stack below the computed value, and swaps them at the end.
             augments_self = copied is not None and _loads(copied, first)
         before, copied = instruction, before
     for inner in code.co_consts:
@@ -410,7 +410,7 @@ def _stores_in(code: CodeType, first: str) -> Iterator[tuple[str, int, str]]:
 
 
 def _loads(instruction: dis.Instruction, name: str) -> bool:
-    """Whether an instruction leaves a variable on top; some of newer Pythons load two at once."""
+    """Return whether an instruction loads a variable last; newer Pythons can load two at once."""
     loaded: Any = instruction.argval
     if isinstance(loaded, tuple):
         loaded = loaded[-1]
@@ -426,14 +426,14 @@ _MAKERS: Final = ("__new__", "__init__")
 
 
 class Made(NamedTuple):
-    """How Pancakes makes an instance.
+    """How Pancakes makes an instance of a class.
 
     Attributes:
         given: the names of the arguments.
         what: what it is, as in `a task`.
-        instead: where what its author wants to do belongs.
-        gives: an attribute that the `__init__` of Pancakes gives each instance, and that nothing works without; empty:
-            it may be left out.
+        instead: where the author's code belongs instead.
+        gives: an attribute that the `__init__` of Pancakes sets, and without which nothing works; empty: `__init__`
+            need not be called.
     """
 
     given: tuple[str, ...]
@@ -443,10 +443,10 @@ class Made(NamedTuple):
 
 
 def check_made(cls: type) -> None:
-    """Refuse a class that cannot be called as Pancakes calls it.
+    """Refuse a class whose instances cannot be made as Pancakes makes them.
 
     Raises:
-        ClassError: says so, with the file and line.
+        ClassError: has the file and line.
     """
     made: Made = getattr(cls, MADE_AS)
     for name in _MAKERS:
@@ -463,17 +463,17 @@ def check_made(cls: type) -> None:
         head = f"{place_of_function(function)}: {owner.__qualname__}.{name}"
         if not fits:
             raise ClassError(
-                f"{head} takes {inspect.signature(function, follow_wrapped=False)}, and it is Pancakes that makes"
+                f"{head} takes {inspect.signature(function, follow_wrapped=False)}, but Pancakes makes"
                 f" {made.what}: leave it out, and write {made.instead}"
             )
         raise ClassError(_silent(head, name, made))
 
 
 def check_loaded(cls: Any) -> None:
-    """Refuse a class that came to be unfit after it was made, by a decorator, or that is only half of one.
+    """Refuse a class that a decorator made unusable after its definition, or that lacks methods.
 
     Args:
-        cls: what was loaded; all but a class of a user that Pancakes makes is passed over.
+        cls: the loaded object; anything but a user's class that Pancakes makes is ignored.
 
     Raises:
         ClassError: it is a dataclass, lacks methods, or cannot be called as Pancakes calls it.
@@ -484,7 +484,7 @@ def check_loaded(cls: Any) -> None:
     made: Made = getattr(cls, MADE_AS)
     compared = owner_of(cls, "__hash__")
     if made.gives and compared is not None:
-        _check_dataclass(compared, made)  # it takes the hash away, by which actors are known
+        _check_dataclass(compared, made)  # it removes the hash, which identifies actors
     lacking = sorted(getattr(cls, "__abstractmethods__", ()))
     if lacking:
         wanted = ", ".join(f"`{definition_of(getattr(cls, name), name)}`" for name in lacking)
@@ -492,14 +492,14 @@ def check_loaded(cls: Any) -> None:
 
 
 def check_instance(cls: Any, instance: object) -> None:
-    """Refuse what came of a class whose `__init__` did not go on to that of Pancakes.
+    """Refuse an instance whose `__init__` did not call that of Pancakes.
 
     Args:
-        cls: what was called; all but a class that Pancakes makes is passed over.
-        instance: what came of it.
+        cls: the class; any but one that Pancakes makes is ignored.
+        instance: the result of the call.
 
     Raises:
-        ClassError: it is no instance, or has not got that.
+        ClassError: it is not an instance, or lacks the attribute.
     """
     made: Made | None = getattr(cls, MADE_AS, None)
     if made is None or made.gives in getattr(instance, "__dict__", ()):
@@ -521,13 +521,13 @@ def _check_dataclass(cls: type, made: Made) -> None:
         has_settings = made.gives or "settings" in made.given
         instead = f"declare what may be set in `@dataclass class Settings`, and write {made.instead}"
         raise ClassError(
-            f"{place_of_field(cls)}: {cls.__qualname__} is decorated with @dataclass, and it is Pancakes that makes"
+            f"{place_of_field(cls)}: {cls.__qualname__} is decorated with @dataclass, but Pancakes makes"
             f" {made.what}: leave that out, {instead if has_settings else 'or give its fields defaults'}"
         )
 
 
 def _calls_on(function: FunctionType, name: str) -> bool:
-    """Whether a method may call that of the next class; one that calls what it was given, as a decorator, may."""
+    """Return whether a method may call that of the next class; a decorated one may."""
     code = inspect.unwrap(function).__code__
     return name in _made_class_names_in(code) or any(it != "__class__" for it in code.co_freevars)
 

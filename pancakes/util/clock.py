@@ -13,7 +13,7 @@ from typing import Final, Protocol
 
 
 class Clock(Protocol):
-    """Something that knows the time, in seconds from an origin of its own."""
+    """A source of time, in seconds from its own origin."""
 
     def now(self) -> float:
         """Return the time in seconds. Never goes back."""
@@ -23,13 +23,13 @@ class Clock(Protocol):
 class MonotonicClock:
     """The host's monotonic clock."""
 
-    now = staticmethod(time.monotonic)  # as it is: everything that happens asks for the time
+    now = staticmethod(time.monotonic)  # without a wrapper: the time is read very often
 
 
 SET_SINCE_S: Final = 1_577_836_800.0
-"""The year 2020: a clock that says an earlier time of day was never set, as on a board without a battery for it."""
+"""The year 2020: a clock with an earlier time of day was never set, as on a board without a battery."""
 READ_S: Final = 0.0005
-"""Two clocks are read within so short a time, or read again: the thread may have had to wait in between."""
+"""Two clocks must be read within this time, otherwise again: the thread may have been delayed in between."""
 
 
 def day_s(host: Clock) -> float | None:
@@ -54,15 +54,15 @@ def utc_text(utc_s: float) -> str:
 
 
 def wall_ns() -> int:
-    """Return the time of day in nanoseconds since 1970: only for what people and other machines shall compare."""
+    """Return the time of day in nanoseconds since 1970: only for times that people or other machines compare."""
     return time.time_ns()
 
 
 class VirtualClock:
-    """A clock that moves only when it is told to (virtual time, tests).
+    """A clock that moves only on request (virtual time, tests).
 
     Attributes:
-        now_s: what `now` returns, without a call.
+        now_s: the result of `now`, without a call.
     """
 
     def __init__(self, start_s: float = 0.0) -> None:
@@ -83,12 +83,12 @@ class VirtualClock:
 
 
 class SkewedClock:
-    """A clock that runs at another rate than the virtual one: each agent of a test may have a bad clock of its own.
+    """A clock that runs at another rate than the virtual one: to give agents bad clocks in tests.
 
     Args:
         true: the virtual clock.
         rate: its seconds for each second of the virtual clock.
-        ahead_s: what it says when the virtual clock says 0.
+        ahead_s: its time when the virtual clock is at 0.
     """
 
     def __init__(self, true: VirtualClock, rate: float, ahead_s: float = 0.0) -> None:
@@ -106,7 +106,7 @@ class SkewedClock:
     def true_s(self, time_s: float) -> float:
         """Return the first virtual time at which this clock has reached `time_s`."""
         found_s = (time_s - self.ahead_s) / self.rate
-        # By rounding it may be less: a timer would come a hair too early, again and again.
+        # Rounding may make it less: a timer would come slightly too early, again and again.
         while self.ahead_s + found_s * self.rate < time_s:
             found_s = max(math.nextafter(found_s, math.inf), found_s + math.ulp(self.ahead_s) / self.rate)
         return found_s
@@ -120,12 +120,12 @@ class MissionClock:
     """The mission's time: 0 while held, then `speed` times as fast as the host clock.
 
     Args:
-        host: the clock it stands on.
+        host: the clock that it is based on.
         speed: mission seconds for each host second.
-        held: whether it waits at 0 for `begin`; otherwise it runs from its making on.
+        held: whether it waits at 0 for `begin`; otherwise it runs from the start.
 
     Attributes:
-        start_s: the mission time at which it began; 0, unless it took that of other agents.
+        start_s: the mission time at which it began; 0, unless it took the time of other agents.
     """
 
     __slots__ = ("_host_now", "_origin_s", "speed", "start_s")  # every packet asks for the time
@@ -144,18 +144,18 @@ class MissionClock:
         return self._origin_s == math.inf
 
     def now(self) -> float:
-        # Not called in one: Python 3.11 takes what is called so for a method, and searches the class first each time.
+        # In two steps: Python 3.11 treats a direct call as a method call, and searches the class first each time.
         host_now = self._host_now
         elapsed_s = host_now() - self._origin_s
         return elapsed_s * self.speed if elapsed_s > 0.0 else 0.0
 
     def begin(self, in_s: float = 0.0) -> None:
-        """Let the mission start in `in_s` seconds of host time. A mission that runs is left alone."""
+        """Start the mission in `in_s` seconds of host time. A running mission is left alone."""
         if self.held:
             self._origin_s = self._host_now() + in_s
 
     def join(self, zero_s: float) -> None:
-        """Let the mission go on as it has in other agents. A mission that runs is left alone: it never jumps.
+        """Join the mission of other agents, at its time. A running mission is left alone: it never jumps.
 
         Args:
             zero_s: the host time at which their mission time was 0; it may be negative.

@@ -26,10 +26,10 @@ from msgspec import inspect
 
 
 def plain_of(text: bytes | str) -> Any:
-    """Return what JSON says, as plain values.
+    """Decode JSON to plain values.
 
     Raises:
-        ValueError: it is no JSON, is nested thousands deep, or has a number of thousands of digits.
+        ValueError: it is not JSON, is nested thousands deep, or has a number of thousands of digits.
     """
     import json  # takes 2 ms of a start
 
@@ -40,11 +40,11 @@ def plain_of(text: bytes | str) -> Any:
 
 
 MALFORMED: Final = (msgspec.DecodeError, RecursionError, UnicodeError)
-"""All that msgspec's decoders raise. `RecursionError`: they are nested thousands deep."""
+"""The errors of msgspec's decoders. `RecursionError`: the data is nested thousands deep."""
 
 
 def why_malformed(error: Exception) -> str:
-    """Return what is wrong with the bytes, to stand in a sentence behind what they should have been."""
+    """Return what is wrong with the bytes, for the end of a sentence."""
     return "it is nested too deep" if isinstance(error, RecursionError) else str(error)
 
 
@@ -79,13 +79,13 @@ def sha256(data: bytes) -> bytes:
 
 
 UNENCODABLE: Final = (TypeError, ValueError, OverflowError, RuntimeError, MemoryError, msgspec.MsgspecError)
-"""All that encoding raises. `RuntimeError`: it is too deep, or a mapping that its owner changes meanwhile."""
+"""The errors of encoding. `RuntimeError`: nested too deep, or a mapping was changed meanwhile."""
 LONG_JSON_BYTES: Final = 64 * 1024
-"""JSON that is longer is read by Python's own decoder, which takes longer and survives a lack of memory."""
+"""Longer JSON is read by Python's own decoder, which is slower and survives a lack of memory."""
 
 _T = TypeVar("_T")
 
-_LOCK: Final = threading.RLock()  # again by one thread: a type may run code of its own where it is resolved
+_LOCK: Final = threading.RLock()  # reentrant: a type may run its own code when it is resolved
 _BUILT: Final[set[type]] = set()
 _MSGPACK: Final = msgspec.msgpack.Encoder()
 
@@ -99,11 +99,11 @@ def decoder(kind: Any, extension: Callable[[int, memoryview], Any] | None = None
 
 
 def decoder(kind: Any, extension: Callable[[int, memoryview], Any] | None = None) -> Callable[[Any], Any]:
-    """Return what makes an instance of a type of msgpack; to be kept, because making it takes long. Any thread.
+    """Return a decoder of msgpack to a type. Keep it, because making one takes long. Any thread.
 
     Args:
         kind: the type.
-        extension: makes a value of the number and the bytes of a msgpack extension type; None: there is none.
+        extension: makes a value from the number and the bytes of a msgpack extension type; None: no extensions.
 
     Raises:
         TypeError: msgspec cannot decode such a type.
@@ -121,9 +121,9 @@ def json_decoder(kind: Any = Any) -> Callable[[bytes | str], Any]: ...
 
 
 def json_decoder(kind: Any = Any) -> Callable[[bytes | str], Any]:
-    """Return what makes an instance of a type of JSON; see `decoder`.
+    """Return a decoder of JSON to a type; see `decoder`.
 
-    It raises what `pancakes.util.codecs` says.
+    It raises the errors in `MALFORMED`.
     """
     with _LOCK:
         decode: Callable[[bytes | str], Any] = msgspec.json.Decoder(kind).decode
@@ -149,12 +149,12 @@ def convert(value: Any, kind: Any, hook: Callable[[Any, Any], Any] | None = None
 
 
 def convert(value: Any, kind: Any, hook: Callable[[Any, Any], Any] | None = None) -> Any:
-    """Make an instance of a type of plain values. Any thread.
+    """Convert plain values to a type. Any thread.
 
     Args:
         value: the plain values.
         kind: the type.
-        hook: makes an instance of a type that msgspec does not know, of that type and a plain value; with one, the
+        hook: makes an instance of a type that msgspec does not know, from the type and a plain value; with one, the
             keys of mappings may be texts that stand for numbers.
 
     Raises:
@@ -167,13 +167,13 @@ def convert(value: Any, kind: Any, hook: Callable[[Any, Any], Any] | None = None
 
 
 def converter(kind: Any) -> Callable[[Any], Any]:
-    """Return `convert` for a type that is not a class and is met often: it is looked at now, and never again."""
+    """Return `convert` for a type that is not a class and is used often: it is analysed only once."""
     _build(kind)
     return partial(msgspec.convert, type=kind)
 
 
 def type_info(kind: Any) -> inspect.Type:
-    """Return what msgspec knows of a type; see `convert` for the errors."""
+    """Return msgspec's information on a type; see `convert` for the errors."""
     with _LOCK:
         return inspect.type_info(kind)
 
@@ -190,7 +190,7 @@ def schema_components(
 def _build(kind: Any) -> None:
     with _LOCK:
         msgspec.msgpack.Decoder(kind)
-        if isinstance(kind, type):  # other types may be equal and not the same, and msgspec notes it with the one
+        if isinstance(kind, type):  # others may be equal but not identical, and msgspec marks only one
             _BUILT.add(kind)
 
 
@@ -198,7 +198,7 @@ def _build(kind: Any) -> None:
 
 
 _FIRST_BYTES: Final = 256
-"""How large a buffer is at first: nearly all that is encoded fits."""
+"""The first size of a buffer: nearly all values fit."""
 _ENCODE_INTO: Final = _MSGPACK.encode_into
 
 
@@ -215,16 +215,16 @@ _NO_MEMORY: Final = "there is no memory left to encode it"
 
 
 encode_small: Final = _MSGPACK.encode
-"""Encodes what is sure to be small as msgpack, in half the time that `encode` takes."""
+"""Encodes a value that is certainly small as msgpack, in half the time of `encode`."""
 
 
 def encode(value: Any) -> bytes:
     """Encode a value as msgpack. Any thread.
 
     Raises:
-        UNENCODABLE: it cannot be encoded; a MemoryError says in its sentence that there is no memory for it.
+        UNENCODABLE: it cannot be encoded; a MemoryError says so in its message.
     """
-    buffer = bytearray(_FIRST_BYTES)  # as `_grown`, in one call: each packet that leaves an agent comes by here
+    buffer = bytearray(_FIRST_BYTES)  # like `_grown`, in one call: each packet that leaves an agent is encoded here
     try:
         _ENCODE_INTO(value, buffer)
         return bytes(buffer)
@@ -233,12 +233,12 @@ def encode(value: Any) -> bytes:
 
 
 def encoder(hook: Callable[[Any], Any]) -> Callable[[Any], bytes]:
-    """Return what encodes a value as msgpack; the hook makes values that msgspec knows of those that it does not."""
+    """Return an encoder to msgpack; the hook converts values that msgspec does not know."""
     return partial(_grown, msgspec.msgpack.Encoder(enc_hook=hook).encode_into)
 
 
 def unencodable_in(value: Any, encode: Callable[[Any], bytes]) -> tuple[str | int, ...]:
-    """Return where in plain values the first one is that cannot be encoded; empty: no part of it alone is at fault."""
+    """Return the path to the first plain value that cannot be encoded; empty: no single part is at fault."""
     if not isinstance(value, (Mapping, list, tuple)):
         return ()
     parts = value.items() if isinstance(value, Mapping) else enumerate(value)
@@ -251,7 +251,7 @@ def unencodable_in(value: Any, encode: Callable[[Any], bytes]) -> tuple[str | in
 
 
 def json_encoder(hook: Callable[[Any], Any] | None = None) -> Callable[[Any], bytes]:
-    """Return what encodes a value as JSON; the hook makes plain values of what msgspec does not know."""
+    """Return an encoder to JSON; the hook converts values that msgspec does not know."""
     return partial(_grown, msgspec.json.Encoder(enc_hook=hook).encode_into)
 
 

@@ -13,11 +13,11 @@ _YARDSTICK_LOOPS: Final = 10_000
 
 
 def processor_times() -> tuple[float, float]:
-    """Return how long all processors have been busy, and how long they have been at all, in seconds."""
+    """Return the busy time and the total time of all processors, in seconds."""
     import psutil
 
     times = psutil.cpu_times()
-    # What a guest used is in `user` already; waiting for a disk is no work.
+    # `user` already includes guests; waiting for a disk is not work.
     whole_s = sum(times) - getattr(times, "guest", 0.0) - getattr(times, "guest_nice", 0.0)
     return whole_s - times.idle - getattr(times, "iowait", 0.0), whole_s
 
@@ -29,7 +29,7 @@ def processor_count() -> int:
 
 @lru_cache(maxsize=1)
 def host_id() -> str:
-    """Return a name for this computer since its start: all processes on it get the same."""
+    """Return a name for this computer since its start: the same for all its processes."""
     try:
         return _BOOT_ID.read_text(encoding="ascii").strip()
     except OSError:

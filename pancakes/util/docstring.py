@@ -1,4 +1,4 @@
-"""Read docstrings that people are shown, also if Python was told to drop them (`python -OO`, `PYTHONOPTIMIZE=2`)."""
+"""Read docstrings for people, also if Python drops them (`python -OO`, `PYTHONOPTIMIZE=2`)."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from typing import Any
 
 
 def docstring_of(thing: type | Callable[..., Any]) -> str:
-    """Return the docstring of a class or function, without its indent; empty if it has none of its own."""
+    """Return the docstring of a class or function, without its indent; empty if it has none."""
     doc = vars(thing).get("__doc__") if isinstance(thing, type) else thing.__doc__
     if isinstance(thing, type) and doc and doc.startswith(f"{thing.__name__}("):
-        doc = ""  # what @dataclass writes if there is none
+        doc = ""  # the docstring that @dataclass generates
     if doc or sys.flags.optimize < 2:
         from inspect import cleandoc
 
@@ -26,7 +26,7 @@ def _in_source(thing: type | Callable[..., Any]) -> str:
 
     try:
         (defined,) = ast.parse(textwrap.dedent(inspect.getsource(thing))).body
-    except (OSError, TypeError, SyntaxError, ValueError):  # its text is not there
+    except (OSError, TypeError, SyntaxError, ValueError):  # its source is missing
         return ""
     found = ast.get_docstring(defined) if isinstance(defined, (ast.FunctionDef, ast.ClassDef)) else None
     return found or ""

@@ -33,7 +33,7 @@ class Distribution(NamedTuple):
         """Return a value of the header of its metadata, such as `Name`.
 
         Raises:
-            ValueError: it is not there.
+            ValueError: it is missing.
         """
         for line in (self.read("METADATA") or self.read("PKG-INFO") or "").splitlines():
             if not line:
@@ -45,7 +45,7 @@ class Distribution(NamedTuple):
 
 
 def distributions() -> Iterator[Distribution]:
-    """Yield all distributions, in the order of `sys.path`; one may come twice."""
+    """Yield all distributions, in the order of `sys.path`; one may occur twice."""
     if not _are_all_in_directories():
         from importlib import metadata  # see above
 
@@ -56,7 +56,7 @@ def distributions() -> Iterator[Distribution]:
         try:
             names = os.listdir(root or ".")
         except OSError:
-            continue  # an import passes over what is not there as well
+            continue  # an import skips missing directories too
         for name in names:
             if name.lower().endswith(_INFO):
                 yield Distribution(root, partial(_read, os.path.join(root, name)))
@@ -94,7 +94,7 @@ def points_in(text: str) -> Iterator[EntryPoint]:
     """Yield the entry points that the text of an `entry_points.txt` states.
 
     Raises:
-        ValueError: a line is none.
+        ValueError: a line is not an entry point.
     """
     group = ""
     for line in map(str.strip, text.splitlines()):
@@ -103,11 +103,11 @@ def points_in(text: str) -> Iterator[EntryPoint]:
         elif line and not line.startswith("#"):
             name, equals, place = map(str.strip, line.partition("="))
             if not equals:
-                raise ValueError(f"{line!r} is no entry point")
+                raise ValueError(f"{line!r} is not an entry point")
             yield EntryPoint(group, name, place)
 
 
 def load(place: str) -> Any:
-    """Import what an entry point names; that may raise anything."""
-    module, _, path = place.partition("[")[0].partition(":")  # extras stand in brackets
+    """Import the object of an entry point; that may raise anything."""
+    module, _, path = place.partition("[")[0].partition(":")  # extras are in brackets
     return reduce(getattr, filter(None, path.strip().split(".")), import_module(module.strip()))

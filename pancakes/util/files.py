@@ -22,31 +22,29 @@ _VARIABLE: Final = re.compile(r"\$(?:\w+|\{\w+\})")
 
 
 class NoPath(PancakesError):
-    """A text is the path of nothing; the sentence says why."""
+    """A text is not a path; the message says why."""
 
 
 class NoHome(NoPath):
-    """A folder of the user is needed, and nothing says where it is; the sentence names what to set."""
+    """A folder of the user is needed, but not known; the message names what to set."""
 
 
 def at_home(path: str, user: str = "") -> str:
-    """Return a path in which `~` and `~user` at its beginning stand for a home folder, as a shell has it.
+    """Expand `~` and `~user` at the beginning of a path, as a shell does.
 
     Args:
         path: the path.
         user: whose home `~` is; empty: that of the user of this process.
 
     Raises:
-        NoPath: it has a NUL in it, or a variable, which nothing would replace.
-        NoHome: nothing says where that is.
+        NoPath: it has a NUL in it, or a variable, which is not expanded.
+        NoHome: the home folder is not known.
     """
     if "\0" in path:
         raise NoPath("has a NUL in it, which no path may have")
     found = _VARIABLE.search(path)
     if found:
-        raise NoPath(
-            f"has {found[0]} in it, which stays as it is written: write `~` for the home folder, or the whole path"
-        )
+        raise NoPath(f"has {found[0]} in it, which is not expanded: write `~` for the home folder, or the whole path")
     if not path.startswith("~"):
         return path
     name, slash, rest = path.partition("/")
@@ -57,16 +55,16 @@ def at_home(path: str, user: str = "") -> str:
 
 
 def user_folder(variable: str, below_home: str, what_for: str, instead: str = "") -> Path:
-    """Return the folder that a variable of the environment names, else one below the home of this user.
+    """Return the folder in an environment variable, or else one below the home of this user.
 
     Args:
         variable: its name, such as `XDG_STATE_HOME`.
         below_home: where the folder is in a home.
-        what_for: what belongs there, for the sentence.
-        instead: what else would say where that belongs, for the sentence.
+        what_for: what belongs there, for the error message.
+        instead: another setting that would name it, for the error message.
 
     Raises:
-        NoHome: there is neither.
+        NoHome: neither is known.
     """
     base = os.environ.get(variable)
     if base:
@@ -85,10 +83,10 @@ _OTHERS: Final = ((stat.S_ISFIFO, "a pipe"), (stat.S_ISSOCK, "a socket"), (stat.
 
 
 def check_plain(path: str | os.PathLike[str]) -> None:
-    """Refuse what is no file; one that is not there may be made.
+    """Refuse a path that is not a plain file; it may be missing.
 
     Raises:
-        OSError: it is a pipe, a socket or a disk, or cannot be looked at.
+        OSError: it is a pipe, a socket or a disk, or cannot be examined.
     """
     try:
         mode = os.stat(path).st_mode
@@ -96,21 +94,21 @@ def check_plain(path: str | os.PathLike[str]) -> None:
         return
     for is_one, what in _OTHERS:
         if is_one(mode):
-            raise OSError(errno.EINVAL, f"it is {what}, and no file", os.fspath(path))
+            raise OSError(errno.EINVAL, f"it is {what}, not a file", os.fspath(path))
 
 
 def read_plain(path: Path) -> bytes:
-    """Return what is in a file.
+    """Return the contents of a plain file.
 
     Raises:
-        OSError: it is none, or cannot be read.
+        OSError: it is not a plain file, or cannot be read.
     """
     check_plain(path)
     return path.read_bytes()
 
 
 def is_still_at(handle: int, path: str | os.PathLike[str]) -> bool:
-    """Return whether an open file is the one that lies at a path now."""
+    """Return whether a path now leads to an open file."""
     own = os.fstat(handle)
     try:
         there = os.stat(path)
@@ -120,20 +118,20 @@ def is_still_at(handle: int, path: str | os.PathLike[str]) -> bool:
 
 
 class FileMark:
-    """A file as it was read; it costs a look at the file's status to ask whether it has changed.
+    """Detect changes of a file since it was read, at the cost of one `stat`.
 
     Args:
-        path: where it is; what is at no path, as a configuration made in code, never changes.
+        path: its path; empty, as for a configuration made in code: it never changes.
     """
 
     def __init__(self, path: str) -> None:
-        self._path = Path(path).absolute() if path else None  # the working directory may be changed by what runs here
+        self._path = Path(path).absolute() if path else None  # a task may change the working directory
         self._status = self._look()
         self._digest = self._read()
         self._changed = False
 
     def changed(self) -> bool:
-        """Return whether it says something else by now, or is gone."""
+        """Return whether its contents have changed, or it is gone."""
         if self._digest is None:
             return False
         status = self._look()

@@ -1,6 +1,6 @@
-"""Find plug-ins by entry point: the core's own parts and those of other distributions alike.
+"""Find plug-ins by entry point: those of the core and of other distributions alike.
 
-A distribution says in its metadata what it offers:
+The metadata of a distribution names its plug-ins:
 
     [options.entry_points]
     pancakes.tasks =
@@ -33,7 +33,7 @@ GROUPS: Final = {
     "pancakes.demos": "demo",
     "pancakes.commands": "command",
 }
-"""The entry point groups, and what a person calls one of their entries."""
+"""The entry point groups, each with the word for one of its entries."""
 
 BROUGHT_BY: Final = {
     "pancakes.tasks": {
@@ -62,7 +62,7 @@ BROUGHT_BY: Final = {
     },
     "pancakes.commands": {"zenoh": "pancakes-zenoh"},
 }
-"""The distributions beside the core that come with Pancakes, by group and by what stands before the dot of a name."""
+"""Pancakes' own distributions besides the core, by group and by the part of a name before the dot."""
 
 
 class UnknownPlugin(PluginError):
@@ -87,7 +87,7 @@ class Version(NamedTuple):
 
 
 class Offered(NamedTuple):
-    """One entry point, as its distribution states it; it need not be good.
+    """One entry point, as its distribution states it; it may not work.
 
     Attributes:
         name: its name.
@@ -109,7 +109,7 @@ class _Offer(msgspec.Struct, frozen=True):
 
 
 _Offers = dict[str, list[_Offer]]
-"""The offers of one group by name; more than one under a name is an error."""
+"""The offers of one group, by name; several with one name are an error."""
 
 
 class Plugins:
@@ -133,7 +133,7 @@ class Plugins:
         return sorted(self._offers(group))
 
     def get(self, group: str, name: str) -> Any:
-        """Return a plug-in, imported at the first call.
+        """Return a plug-in, importing it at the first call.
 
         Raises:
             UnknownPlugin: no distribution offers it.
@@ -154,12 +154,12 @@ class Plugins:
         return self._loaded[key]
 
     def at_hand(self, group: str, name: str) -> bool:
-        """Return whether `get` answers without an import: it was asked before, or there is nothing to import."""
+        """Return whether `get` needs no import: it was called before, or there is nothing to import."""
         key = (group, name)
         return key in self._loaded or key in self._broken or key in self._extra or name not in self._offers(group)
 
     def offered(self, group: str) -> list[Offered]:
-        """Return all entry points of a group, by name; also those that are offered twice. Imports nothing."""
+        """Return all entry points of a group, by name; including those that are offered twice. Imports nothing."""
         return [
             Offered(name, offer.value, offer.version)
             for name, offers in sorted(self._offers(group).items())
@@ -181,7 +181,7 @@ class Plugins:
         return dict(sorted({offer.version for offer in offers if offer.version.distribution}))
 
     def load_packets(self) -> list[PluginError]:
-        """Import all that registers body types of packets.
+        """Import all modules that register packet types.
 
         Returns:
             The plug-ins that failed; the others are registered.
@@ -200,12 +200,12 @@ class Plugins:
         return list(self._unreadable)
 
     def problems(self) -> list[PluginError]:
-        """Return what has failed so far: distributions that cannot be read, plug-ins that cannot be loaded."""
+        """Return the faults so far: distributions that cannot be read, plug-ins that cannot be loaded."""
         return [*self._unreadable, *(PluginError(text) for text in self._broken.values())]
 
     def _offers(self, group: str) -> _Offers:
         _check_group(group)
-        if self._installed is None:  # reading the metadata of all distributions costs milliseconds, so once, and late
+        if self._installed is None:  # reading all metadata takes milliseconds, so only once, and late
             self._installed, self._unreadable = _scan()
         offers = dict(self._installed.get(group, {}))
         for (extra_group, name), plugin in self._extra.items():
@@ -214,7 +214,7 @@ class Plugins:
         return offers
 
     def _find(self, group: str, name: str) -> _Offer:
-        """Return the one offer of a name."""
+        """Return the only offer of a name."""
         offers = self._offers(group)
         if name not in offers:
             raise _unknown(group, name, list(offers))
@@ -227,14 +227,14 @@ class Plugins:
 
 def _check_group(group: str) -> None:
     if group not in GROUPS:
-        raise ValueError(f"{group!r} is no group of plug-ins; there are {', '.join(GROUPS)}")
+        raise ValueError(f"{group!r} is not a group of plug-ins; the groups are {', '.join(GROUPS)}")
 
 
 def _load(group: str, name: str, offer: _Offer) -> Any:
     try:
         found = offer.load()
         check_loaded(found)
-    except ClassError as error:  # its sentence says where
+    except ClassError as error:  # its message has the place
         raise PluginError(f"the {GROUPS[group]} {name!r}{_source(offer)} cannot be loaded: {error}") from None
     except (Exception, SystemExit) as error:  # an import may raise anything, and a script even ends the process
         raise PluginError(f"the {GROUPS[group]} {name!r}{_source(offer)} cannot be loaded: {_line(error)}") from None
@@ -242,13 +242,13 @@ def _load(group: str, name: str, offer: _Offer) -> Any:
 
 
 def _source(offer: _Offer) -> str:
-    """The source of a plug-in, for a sentence; nothing for one that was registered in code."""
+    """Return the source of a plug-in, for a message; empty for one that was registered in code."""
     version = offer.version
     return f" of {version.distribution} {version.version} ({offer.value})" if version.distribution else ""
 
 
 def to_install(group: str, name: str, known: Collection[str]) -> str:
-    """Return the command that brings a plug-in whose distribution is not installed; empty: none is known.
+    """Return the command that installs the distribution of a plug-in; empty: unknown.
 
     Args:
         group: its group.
@@ -272,7 +272,7 @@ def _unknown(group: str, name: str, known: list[str]) -> UnknownPlugin:
 
 
 def _line(error: BaseException) -> str:
-    """An exception in one line: where it was raised, by way of which files, and what it came of."""
+    """Return an exception in one line: where it was raised, through which files, and its causes."""
     parts: list[str] = []
     for cause in islice(chain_of(error), MOST_CAUSES):
         message = " ".join(str(cause).split())
@@ -283,7 +283,7 @@ def _line(error: BaseException) -> str:
 
 
 def _way(error: BaseException) -> str:
-    """The lines by way of which an exception came, those of Python's own import left out."""
+    """Return the lines through which an exception came, without those of Python's import system."""
     from traceback import walk_tb  # only if something went wrong
 
     way = []
@@ -300,7 +300,7 @@ MOST_LINES: Final = 4
 
 
 def _scan() -> tuple[dict[str, _Offers], list[PluginError]]:
-    """Read what all installed distributions offer to us."""
+    """Read the plug-ins of all installed distributions."""
     groups: dict[str, _Offers] = {group: {} for group in GROUPS}
     unreadable = []
     seen = []
@@ -308,17 +308,17 @@ def _scan() -> tuple[dict[str, _Offers], list[PluginError]]:
         try:
             text = distribution.read("entry_points.txt") or ""
             if "pancakes." not in text:
-                continue  # as nearly all: none needs its header read
+                continue  # nearly always: its header need not be read
             points = [point for point in points_in(text) if point.group in GROUPS]
             if not points:
                 continue
             version = Version(distribution.header("Name"), distribution.header("Version"))
-        except Exception as error:  # foreign files: whatever is wrong with them is theirs
+        except Exception as error:  # foreign files may contain anything
             place = f"{_name_of(distribution)} in {distribution.root}"
             unreadable.append(PluginError(f"the entry points of {place} cannot be read: {_line(error)}"))
             continue
         if version.distribution in seen:
-            continue  # found again further down sys.path, as an editable install is from its own directory
+            continue  # found again later in sys.path, such as an editable install in its own directory
         seen.append(version.distribution)
         for point in points:
             offer = _Offer(version, point.place, partial(load, point.place))

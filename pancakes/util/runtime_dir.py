@@ -1,7 +1,7 @@
-"""The runtime directory: which agents run on this machine, so that the command line finds them.
+"""The runtime directory: the agents that run on this machine, so that the command line finds them.
 
 Each agent writes one small JSON file there and keeps it locked while it lives. A file whose lock is free belongs to
-an agent that has died, however it died and whichever process has its number today. The directory must be closed to
+an agent that has died, even if another process has its number now. The directory must be closed to
 other users, because our commands connect to what it names.
 """
 
@@ -26,15 +26,15 @@ from pancakes.util.codecs import MALFORMED
 from pancakes.util.text import printable
 
 VARIABLE: Final = "PANCAKES_RUNTIME_DIR"
-"""The environment variable that names another directory."""
+"""The environment variable that sets another directory."""
 LOOK_S: Final = 5.0
-"""How often an agent looks whether what it has put there is still there, in seconds."""
+"""How often an agent checks that its entry is still there, in seconds."""
 _SUFFIX: Final = ".json"
 _TEMPORARY: Final = ".tmp"
 _NAME: Final = re.compile(r".+\.\d+\.json(\.tmp)?", re.DOTALL)
-"""Files of these names are written by agents, `NAME.PID.json`."""
+"""Agents write files with these names: `NAME.PID.json`."""
 _WRITTEN_S: Final = 60.0
-"""A temporary file as young as this is left alone: its agent may be about to lock it, in seconds."""
+"""A temporary file that is younger than this, in seconds, is kept: its agent may be about to lock it."""
 _LIMIT_BYTES: Final = 65_536
 _KINDS: Final = {
     stat.S_IFDIR: "a directory",
@@ -53,7 +53,7 @@ class RunningAgent(msgspec.Struct, frozen=True):
         name: its name.
         fleet: its fleet.
         role: its role, such as `agent`.
-        listen: the addresses at which this machine reaches it, the best first; none where it does not listen.
+        listen: the addresses at which this machine reaches it, the best first; none if it does not listen.
         pid: its process.
     """
 
@@ -68,11 +68,11 @@ _DECODE: Final = codecs.json_decoder(RunningAgent)
 
 
 class Registration:
-    """An agent's own entry; it stands until `remove`, or until the process ends.
+    """An agent's own entry; it stays until `remove`, or until the process ends.
 
     Args:
-        entry: what it says.
-        group: members of this group may read it as well; empty: its user alone.
+        entry: its contents.
+        group: members of this group may read it too; empty: only its user.
 
     Raises:
         PancakesError: the directory cannot be used; the sentence says why.
@@ -85,10 +85,10 @@ class Registration:
         self._handle: int | None = self._write()
 
     def renew(self) -> bool:
-        """Write the entry again where it is gone: the directory of a person's session ends with the session.
+        """Write the entry again if it is gone: a session's directory ends with the session.
 
         Returns:
-            Whether it was gone, and is there again.
+            Whether it was gone and is written again.
         """
         if self._handle is None or is_at(self._path, os.fstat(self._handle)):
             return False
@@ -101,16 +101,16 @@ class Registration:
         return True
 
     def remove(self) -> None:
-        """Take the entry away. A second call does nothing."""
+        """Remove the entry. A second call does nothing."""
         if self._handle is None:
             return
         with contextlib.suppress(OSError):
             self._path.unlink(missing_ok=True)
-        os.close(self._handle)  # which gives the lock back
+        os.close(self._handle)  # this releases the lock
         self._handle = None
 
     def _write(self) -> int:
-        """Write the entry: a reader finds all of it, or nothing. Returns the file, open and locked."""
+        """Write the entry atomically. Return the file, open and locked."""
         directory = self._path.parent
         try:
             make_directory(directory, self._group)
@@ -131,7 +131,7 @@ class Registration:
 
 
 def runtime_dir() -> Path:
-    """Return where the entries are: a directory of the user's own."""
+    """Return the directory with the entries, which belongs to the user."""
     named = os.environ.get(VARIABLE)
     if named:
         return Path(named)
@@ -142,12 +142,12 @@ def runtime_dir() -> Path:
 
 
 class Found(msgspec.Struct, frozen=True):
-    """What lies in the runtime directory.
+    """The contents of the runtime directory.
 
     Attributes:
         entries: the agents that run on this machine, by name.
-        cleared: the entries of agents that died without taking them away, as `NAME.PID`; they have just been removed.
-        odd: a sentence for each thing there that no agent has written; it is left as it is.
+        cleared: the entries of agents that died without removing them, as `NAME.PID`; they have just been removed.
+        odd: a sentence for each other thing in it; it is not changed.
     """
 
     entries: list[RunningAgent]
@@ -156,7 +156,7 @@ class Found(msgspec.Struct, frozen=True):
 
 
 def why_none(fleet: str) -> str:
-    """Return a sentence to say where no agent of a fleet runs on this machine, with the fleets that do.
+    """Return the sentence that no agent of a fleet runs on this machine, with the fleets that do.
 
     Args:
         fleet: the fleet; empty: any.
@@ -171,7 +171,7 @@ def why_none(fleet: str) -> str:
 
 
 def other_fleets(fleet: str) -> list[str]:
-    """Return the other fleets of which agents run on this machine.
+    """Return the other fleets with agents on this machine.
 
     Raises:
         PancakesError: see `entries`.
@@ -180,9 +180,9 @@ def other_fleets(fleet: str) -> list[str]:
 
 
 def entries() -> list[RunningAgent]:
-    """Return the agents that run on this machine, by name; what the dead left behind is cleared away.
+    """Return the agents that run on this machine, by name; entries of dead agents are removed.
 
-    What else lies there is passed over, with a warning on standard error, once in a process.
+    Other things in it are ignored, with a warning on standard error, once in a process.
 
     Raises:
         PancakesError: the directory cannot be used; the sentence says why.
@@ -195,11 +195,11 @@ def entries() -> list[RunningAgent]:
 
 @cache
 def _warn(sentence: str) -> None:
-    print(f"warning: {sentence}; passed over", file=sys.stderr)
+    print(f"warning: {sentence}; ignored", file=sys.stderr)
 
 
 def look() -> Found:
-    """Look at all that lies in the runtime directory, and clears away what the dead left behind.
+    """Read the runtime directory, and remove the entries of dead agents.
 
     Raises:
         PancakesError: the directory cannot be used; the sentence says why.
@@ -215,7 +215,7 @@ def look() -> Found:
                 try:
                     _read(path, found)
                 except FileNotFoundError:
-                    pass  # it has gone in the meantime
+                    pass  # it has been removed meanwhile
                 except OSError as error:
                     why = (error.strerror or str(error)).lower()
                     found.odd.append(f"{printable(str(path))} cannot be read: {why}")
@@ -226,14 +226,14 @@ def look() -> Found:
 
 
 def make_directory(directory: Path, group: str = "") -> None:
-    """Make a directory in which no other user can put anything, if there is none yet.
+    """Make a directory in which no other user can write, if it is missing.
 
     Args:
-        directory: the directory; those above it are made as well.
-        group: members of this group may read what is in it; empty: its user alone.
+        directory: the directory; missing parents are made too.
+        group: members of this group may read what is in it; empty: only its user.
 
     Raises:
-        PancakesError: another user could put something there, or the group does not exist; the sentence says why.
+        PancakesError: another user could write there, or the group does not exist; the sentence says why.
         OSError: the operating system refuses.
     """
     directory.mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -243,7 +243,7 @@ def make_directory(directory: Path, group: str = "") -> None:
 
 
 def is_at(path: Path, made: os.stat_result) -> bool:
-    """Return whether what was made at a path is still there."""
+    """Return whether a path still leads to the file that was made there."""
     try:
         there = os.lstat(path)
     except OSError:
@@ -252,39 +252,39 @@ def is_at(path: Path, made: os.stat_result) -> bool:
 
 
 def open_to(path: int | Path, group: str, mode: int) -> None:
-    """Open a file, or an open one, to a group.
+    """Give a group access to a file, by path or descriptor.
 
     Raises:
         PancakesError: there is no such group; the sentence says so.
-        OSError: this user may not: it is no member of the group.
+        OSError: this user may not: it is not a member of the group.
     """
     import grp
 
     try:
         number = grp.getgrnam(group).gr_gid
     except (KeyError, ValueError):  # ValueError: a NUL is in it
-        raise PancakesError(f"there is no group {group!r} on this machine, which [agent] local_group names") from None
+        raise PancakesError(f"the group {group!r} of [agent] local_group does not exist on this machine") from None
     if os.stat(path).st_gid != number:
         os.chown(path, -1, number)
     os.chmod(path, mode)
 
 
 def usable(directory: Path, named: bool = False) -> None:
-    """Check that no other user can put an entry there, which would lead our commands to that user's programs.
+    """Check that no other user can write there: an entry could lead our commands to that user's programs.
 
-    A directory of another user is used only if a person has named it: the agents that run as a system service are
-    there, and a person of their group looks for them there.
+    A directory of another user is used only if a person named it: agents that run as a system service are there, and
+    people of their group look for them there.
 
     Args:
         directory: the directory.
-        named: whether it was named otherwise than by `PANCAKES_RUNTIME_DIR`.
+        named: whether it was named, but not by `PANCAKES_RUNTIME_DIR`.
 
     Raises:
         PancakesError: another user could; the sentence says why.
     """
     found = os.lstat(directory)
     if not stat.S_ISDIR(found.st_mode):
-        raise PancakesError(f"the runtime directory {directory} is no directory")
+        raise PancakesError(f"the runtime directory {directory} is not a directory")
     variable = os.environ.get(VARIABLE)
     named = named or (bool(variable) and directory.is_relative_to(variable or ""))
     if found.st_uid != os.getuid() and not named:
@@ -297,7 +297,7 @@ def usable(directory: Path, named: bool = False) -> None:
 
 
 def _read(path: Path, found: Found) -> None:
-    """Look at one entry. Whatever it is, this neither waits for it nor reads more of it than an entry has.
+    """Read one entry. Whatever it is, this does not block, and reads no more than the size of an entry.
 
     Raises:
         OSError: it cannot be opened.
@@ -306,11 +306,11 @@ def _read(path: Path, found: Found) -> None:
     status = os.lstat(path)
     oddity = _oddity(status, owner)
     if not oddity and path.name.endswith(_TEMPORARY) and abs(wall_ns() / 1e9 - status.st_mtime) < _WRITTEN_S:
-        return  # even to ask for its lock would keep its agent from it
+        return  # even testing its lock could block its agent
     if oddity:
         found.odd.append(f"{printable(str(path))} is {oddity}, no agent's entry")
         return
-    # What it is may have changed since: to open a FIFO would wait for a writer.
+    # Its type may have changed since: opening a FIFO would wait for a writer.
     handle = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK)
     try:
         oddity = _oddity(os.fstat(handle), owner)
@@ -322,10 +322,10 @@ def _read(path: Path, found: Found) -> None:
                 found.entries.append(_DECODE(os.read(handle, _LIMIT_BYTES)))
                 return
             except MALFORMED:
-                oddity = "in use, but what it says is"
+                oddity = "in use, but its contents are"
         elif not oddity and _NAME.fullmatch(path.name):
             if os.fstat(handle).st_uid != os.getuid():
-                return  # its own user clears it away
+                return  # its own user removes it
             path.unlink()
             found.cleared.append(path.name.removesuffix(_TEMPORARY).removesuffix(_SUFFIX))
             return
@@ -335,7 +335,7 @@ def _read(path: Path, found: Found) -> None:
 
 
 def _oddity(status: os.stat_result, owner: int) -> str:
-    """Return what is odd about a thing that should be an entry, as a phrase; empty: nothing."""
+    """Return why a thing is not an entry, as a phrase; empty: it may be one."""
     kind = stat.S_IFMT(status.st_mode)
     if kind != stat.S_IFREG:
         return _KINDS.get(kind, "no file")

@@ -16,8 +16,8 @@ _REF: Final = "#/$defs/{name}"
 def schema_of(cls: type) -> dict[str, Any]:
     """Return the JSON Schema (draft 2020-12) of a dataclass, such as the `Settings` of a task.
 
-    A field's `description` is what the class's docstring says of it under `Attributes:`. What its fields refer to is
-    under `$defs`.
+    A field's `description` comes from the class's docstring, under `Attributes:`. The types of its fields are under
+    `$defs`.
 
     Args:
         cls: a dataclass whose fields have types that msgspec can check.
@@ -40,17 +40,17 @@ def schema_of(cls: type) -> dict[str, Any]:
 
 def _array(kind: type) -> dict[str, Any]:
     if is_array_type(kind):
-        return {"type": "array"}  # of numbers, or of such arrays
+        return {"type": "array"}  # of numbers, or nested arrays of numbers
     raise NotImplementedError
 
 
 def summary_of(cls: type) -> str:
-    """Return the first sentence of a class's docstring; empty if it has none of its own."""
+    """Return the first sentence of a class's docstring; empty if it has none."""
     return " ".join(docstring_of(cls).split("\n\n")[0].split())
 
 
 def field_notes(cls: type) -> dict[str, str]:
-    """Return what the docstrings of a class and its bases say of its fields, by name."""
+    """Return the descriptions of fields in the docstrings of a class and its bases, by name."""
     from docstring_parser import DocstringStyle, parse
 
     notes: dict[str, str] = {}
@@ -73,7 +73,7 @@ def _describe(component: dict[str, Any], cls: type) -> None:
 
 
 def dataclasses_of(cls: type) -> dict[str, type]:
-    """Return the dataclasses that a dataclass is made of, itself first, by the names that msgspec gives them."""
+    """Return a dataclass and all dataclasses in it, itself first, by msgspec's names."""
     found: dict[str, type] = {}
     ahead = [cls]
     while ahead:
@@ -87,7 +87,7 @@ def dataclasses_of(cls: type) -> dict[str, type]:
 
 
 def _dataclasses_in(info: Any, top: bool = False) -> list[type]:
-    """Return the dataclasses right inside a type that msgspec has looked at."""
+    """Return the dataclasses directly inside a type."""
     if isinstance(info, (msgspec.inspect.DataclassType, msgspec.inspect.StructType)) and not top:
         return [info.cls]
     inside: list[type] = []

@@ -1,7 +1,7 @@
 """Text that people type and read: valid names, "did you mean", numbers with units, escaped control characters.
 
-A name (of an agent, fleet, task, service, device or channel) is a part of addresses, file names and log lines, and
-some come from other machines. So names are ASCII only. Types such as `energy.governor` are not names.
+A name (of an agent, fleet, task, service, device or channel) is a part of addresses, file names and log lines, and some
+come from other machines, so names are only ASCII. Types such as `energy.governor` are not names.
 
 A peer, a plug-in or a recording may send any text, also one that moves a terminal's cursor: `printable` shows such
 characters as Python writes them (`\\x1b`). Units are the end of a key (`rate_hz`, `period_s`, `speed_mps`).
@@ -16,29 +16,29 @@ from typing import Final
 
 LONGEST: Final = 64
 NAME: Final = r"[A-Za-z0-9_][A-Za-z0-9_-]{0,63}"
-"""A regular expression for the whole of a name."""
+"""A regular expression for a whole name."""
 _OF_CLIENT: Final = r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,63}"
 
 
 def fault_of_name(name: str, client: bool = False) -> str:
-    """Return why something is no name, as a sentence that shows it safely; empty if it is one.
+    """Return why a text is not a name, as a sentence that shows it safely; empty: it is one.
 
     Args:
         name: the name.
-        client: whether it is that of a terminal or a person, which may have dots.
+        client: whether it is the name of a terminal or a person, which may have dots.
     """
     if re.fullmatch(_OF_CLIENT if client else NAME, name):
         return ""
     dot = ", '.'" if client else ""
     first = "'-' or '.'" if client else "'-'"
     return (
-        f"{name if len(name) <= 2 * LONGEST else name[:LONGEST] + '...'!a} is no name: a name has letters from a"
+        f"{name if len(name) <= 2 * LONGEST else name[:LONGEST] + '...'!a} is not a name: a name has letters from a"
         f" to z and A to Z, digits, '_'{dot} and '-', does not begin with {first}, and is at most {LONGEST} long"
     )
 
 
 def nearest_name(text: str) -> str:
-    """Return what a person may have meant by something that is not a name; empty if that cannot be said."""
+    """Return what a person may have meant by a text that is not a name; empty: unknown."""
     near = re.sub(r"[^A-Za-z0-9_-]+", "_", text.lstrip(".-"))[:LONGEST]
     return near if re.fullmatch(NAME, near) else ""
 
@@ -66,16 +66,16 @@ SAME_AS: Final = {
     "unless-stopped": "always",
     "warn": "warning",
 }
-"""Words that others use, and what that is called here: common letters would lead to another, even to the opposite."""
+"""Words that others use, with the words used here: similar letters would suggest a wrong word, even the opposite."""
 
 
 def suggestion(word: str, known: Iterable[str]) -> str:
     """Return the known word that is nearest to `word`, or an empty string if none is near.
 
-    Upper and lower case are one. `ScanTarget` also finds `encirclement.ScanTarget`: leaving out what stands before the
-    last dot is the commonest mistake with the names of plug-ins. A word with a dot is near another if both of its parts
-    are: what is called alike in another family is something else, such as the temperature of another thing. An address
-    is such a word as well, with a slash; one that leaves out the service finds its task.
+    Upper and lower case are equal. `ScanTarget` also finds `encirclement.ScanTarget`: leaving out the part before the
+    last dot is the most common mistake with names of plug-ins. A word with a dot is near another if both of its parts
+    are: a similar name in another family is something else, such as the temperature of another thing. An address is
+    such a word too, with a slash; one without the service finds its task.
     """
     folded = {name.lower(): name for name in sorted(known, reverse=True)}
     meant = SAME_AS.get(word.lower(), "")
@@ -102,7 +102,7 @@ def suggestion(word: str, known: Iterable[str]) -> str:
 
 
 def _parted(word: str) -> tuple[str, str]:
-    """Return what stands before the last dot or slash of a word, and what stands behind it."""
+    """Return the parts of a word before and after its last dot or slash."""
     at = max(word.rfind("."), word.rfind("/"))
     return word[: max(at, 0)], word[at + 1 :]
 
@@ -116,8 +116,8 @@ def _all_near(word: str, known: Iterable[str], alike: float) -> list[str]:
 
     Args:
         word: the word.
-        known: the words that there are.
-        alike: which share of the letters must be the same.
+        known: the known words.
+        alike: the share of letters that must be the same.
     """
     from difflib import get_close_matches  # only if something went wrong
 
@@ -126,9 +126,9 @@ def _all_near(word: str, known: Iterable[str], alike: float) -> list[str]:
 
 
 def _is_mistyped(word: str, other: str) -> bool:
-    """Return whether a few slips of the fingers lead from one word to the other, or one of them was cut short.
+    """Return whether few typing mistakes lead from one word to the other, or one is the other cut short.
 
-    Common letters are not enough: `always` has four of its six in `lazy`, and means the opposite.
+    Common letters are not enough: `always` has four of its six letters in `lazy`, and means the opposite.
     """
     short, long = sorted((word, other), key=len)
     if len(short) >= 3 and (long.startswith(short) or long.endswith(short)):
@@ -137,7 +137,7 @@ def _is_mistyped(word: str, other: str) -> bool:
 
 
 def _slips(word: str, other: str) -> int:
-    """Return how many letters are to be put in, left out, changed or swapped with the next one."""
+    """Return how many letters must be inserted, removed, changed or swapped with the next one."""
     before: list[int] = []
     row = list(range(len(other) + 1))
     for i, letter in enumerate(word):
@@ -157,7 +157,7 @@ def did_you_mean(word: str, known: Iterable[str], otherwise: str = "") -> str:
 
 
 def hint_of(word: str, known: Collection[str]) -> str:
-    """As `did_you_mean`; if no word is near, it lists all: `, only a, b`."""
+    """Return the same as `did_you_mean`; if no word is near, list all: `, only a, b`."""
     return did_you_mean(word, known, f", only {', '.join(known)}" if known else "")
 
 
@@ -189,14 +189,14 @@ _UNITS: Final = {
     "v": ("v", 1.0),
     "mv": ("v", 1e-3),
 }
-"""The units that people write, each with the kind of a key that takes it, and how many of that kind's unit it is."""
+"""The units that people write, each with its kind, and its size in the base unit of that kind."""
 _KINDS: Final = {"hz": ("hz", 1.0), "s": ("s", 1.0), "ms": ("s", 1e-3), "m": ("m", 1.0), "mps": ("mps", 1.0)} | {
     "rad": ("rad", 1.0),
     "deg": ("rad", math.pi / 180),
     "radps": ("radps", 1.0),
     "v": ("v", 1.0),
 }
-"""The ends of keys, each with its kind, and how many of that kind's unit its own is."""
+"""The unit suffixes of keys, each with its kind, and its size in the base unit of that kind."""
 _INVERSE: Final = {"hz": "s", "s": "hz"}
 _RATES: Final = ("rate", "frequency", "freq", "hz", "period", "interval", "every", "sampling")
 """Words for how often something happens, which is a rate here."""
@@ -204,10 +204,10 @@ _NUMBER: Final = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(
 
 
 def number_in(text: str) -> float:
-    """Return the number in a text that a device, a program or a person has written.
+    """Parse a number that a device, a program or a person has written.
 
     Raises:
-        ValueError: it is none; nor is `1_0`, which is 10 in Python only.
+        ValueError: it is not a number; nor is `1_0`, which is 10 only in Python.
     """
     if "_" in text:
         raise ValueError(f"could not convert string to float: {text!r}")
@@ -215,14 +215,14 @@ def number_in(text: str) -> float:
 
 
 def whole_number_in(text: str) -> int:
-    """As `number_in`, for a number without a fraction."""
+    """Parse a number without a fraction; see `number_in`."""
     if "_" in text:
         raise ValueError(f"invalid literal for int(): {text!r}")
     return int(text)
 
 
 def written_for(key: str, text: str) -> str:
-    """Return what to write for a key in place of a number in text, such as `rate_hz = 2`; empty: nothing is known.
+    """Return what to write for a key instead of a number as text, such as `rate_hz = 2`; empty: unknown.
 
     Args:
         key: the key, which takes a number.
@@ -246,12 +246,12 @@ def written_for(key: str, text: str) -> str:
 
 
 def key_for(word: str, text: str, keys: Iterable[str]) -> str:
-    """Return what to write in place of an unknown key with such a value, such as `rate_hz = 2`; empty: nothing.
+    """Return what to write instead of an unknown key and its value, such as `rate_hz = 2`; empty: unknown.
 
     Args:
         word: the unknown key.
         text: its value.
-        keys: the keys that there are.
+        keys: the known keys.
     """
     stem = word.lower().partition("_")[0]
     taking = {key: line for key in keys if (line := written_for(key, text)) and "_" in key}
@@ -265,23 +265,23 @@ def _shown(number: float) -> str:
     return f"{number:.6g}"
 
 
-# Controls of both sets but for a new line and a tab; marks that turn the direction of text, or end a line unseen; and
-# halves of characters, which cannot be written.
+# Control characters except new lines and tabs; marks that change the direction of text or end a line invisibly; and
+# halves of surrogate pairs, which cannot be encoded.
 _HIDDEN: Final = re.compile(
     "[\\x00-\\x08\\x0b-\\x1f\\x7f-\\x9f\\u061c\\u200e\\u200f\\u2028-\\u202e\\u2066-\\u2069\\ufeff\\ud800-\\udfff]"
 )
 
 
 def printable(text: str) -> str:
-    """Return text as it may be shown: with control characters escaped, all but new lines and tabs."""
+    """Return text that is safe to show: control characters except new lines and tabs are escaped."""
     return text if text.isprintable() else _HIDDEN.sub(lambda found: ascii(found[0])[1:-1], text)
 
 
 def printable_line(text: str) -> str:
-    """Return text as it may stand in a log: as `printable`, and lines after the first look like no entry."""
+    """Return text that is safe in a log: like `printable`, and later lines do not look like entries."""
     return printable(text).replace("\n", "\n    ")
 
 
 def printable_data(text: str) -> str:
-    """Return JSON, or TOML, that means the same and may be shown: what `printable` escapes is written as both do."""
+    """Return equivalent JSON or TOML that is safe to show: characters that `printable` escapes are escaped."""
     return text if text.isprintable() else _HIDDEN.sub(lambda found: f"\\u{ord(found[0]):04x}", text)

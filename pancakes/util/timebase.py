@@ -1,4 +1,4 @@
-"""Tell how an agent's mission time and time of day stand to its host clock. Pure."""
+"""An agent's mission time and time of day relative to its host clock. Pure."""
 
 from __future__ import annotations
 
@@ -7,19 +7,19 @@ from typing import Annotated
 import msgspec
 
 Moment = Annotated[float, msgspec.Meta(ge=-1e12, le=1e12)]
-"""A moment of a clock, in seconds, with bounds on what another agent may claim."""
+"""A moment of a clock, in seconds, within bounds, because other agents send it."""
 
 
 class Timebase(msgspec.Struct, frozen=True, array_like=True, tag=10):
-    """Tell what the sender's mission time and time of day are, as its host clock counts: at first and after changes.
+    """The sender's mission time and time of day, relative to its host clock.
 
-    Agents send it to each other as it is: the tag is its number among the messages of a link.
+    Agents send it to each other at first and after changes; the tag is its number among the messages of a link.
 
     Attributes:
-        began_s: when its mission began, in its host time; None: it has not.
+        began_s: when its mission began, in its host time; None: it has not begun.
         start_s: the mission time at which it began, in seconds.
         speed: its mission seconds for each host second.
-        day_s: the time of day, in seconds since 1970 (UTC), at 0 of its host clock; None: it has none.
+        day_s: the time of day, in seconds since 1970 (UTC), at 0 of its host clock; None: unknown.
     """
 
     began_s: Moment | None = None

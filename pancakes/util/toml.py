@@ -1,6 +1,6 @@
 """Parse TOML from untrusted sources within bounds: each fault is one error with its line.
 
-The parser is the standard library's. Files that are larger, deeper or longer than a person writes are refused.
+The parser is the standard library's. Files that are larger or deeper than a person would write are refused.
 """
 
 from __future__ import annotations
@@ -10,12 +10,12 @@ import tomllib
 from typing import Any, Final
 
 MOST_CHARACTERS: Final = 1 << 20
-"""No file that a person writes is longer."""
+"""The longest text, in characters."""
 MOST_PARTS: Final = 32
-"""A key has no more parts, as in `task.Scan.migrate`: what is read takes the square of them."""
+"""The most parts of a key such as `task.Scan.migrate`: reading takes time with their square."""
 
 MOST_BITS: Final = 4096
-"""Of a longer integer nothing is said but that."""
+"""The longest integer, in bits: a longer one is a fault, and is not shown."""
 
 _PART: Final = r"""(?:[A-Za-z0-9_-]+|"(?:\\.|[^"\\\n])*"|'[^'\n]*')"""
 _FAR: Final = "lies far beyond what can be saved"
@@ -24,10 +24,10 @@ _LONG: Final = re.compile("[0-9][0-9_]{4000}")
 
 
 class TomlBoundsError(ValueError):
-    """A text is beyond what is read of TOML.
+    """A text exceeds a bound.
 
     Attributes:
-        line: the line, from 1; 0: it is the whole text.
+        line: the line, from 1; 0: the whole text.
     """
 
     def __init__(self, problem: str, line: int = 0) -> None:
@@ -36,14 +36,14 @@ class TomlBoundsError(ValueError):
 
 
 def toml_values(text: str) -> dict[str, Any]:
-    """Return what TOML says, as plain values.
+    """Parse TOML to plain values.
 
     Raises:
-        tomllib.TOMLDecodeError: it is no TOML.
-        TomlBoundsError: it is larger, deeper or longer than TOML that a person has written.
+        tomllib.TOMLDecodeError: it is not TOML.
+        TomlBoundsError: it exceeds a bound.
     """
     if len(text) > MOST_CHARACTERS:
-        raise TomlBoundsError(f"has {len(text):,} characters, and {MOST_CHARACTERS:,} are the most")
+        raise TomlBoundsError(f"has {len(text):,} characters, but at most {MOST_CHARACTERS:,} are allowed")
     if found := _DEEP.search(text):
         raise TomlBoundsError(f"a key has more than {MOST_PARTS} parts", _line_of(text, found.end()))
     try:
@@ -52,7 +52,7 @@ def toml_values(text: str) -> dict[str, Any]:
         raise
     except RecursionError:
         raise TomlBoundsError("is nested too deeply") from None
-    except ValueError:  # Python reads no longer integer
+    except ValueError:  # Python reads only integers of limited length
         long = _LONG.search(text)
         line = _line_of(text, long.start()) if long else 0
         raise TomlBoundsError(f"an integer {_FAR}", line) from None
@@ -63,7 +63,7 @@ def toml_values(text: str) -> dict[str, Any]:
 
 
 def _key_beyond(values: dict[str, Any]) -> str:
-    """Return the key of an integer that could not even be shown; empty: there is none."""
+    """Return the key of an integer that is too long to show; empty: none."""
     left: list[tuple[str, Any]] = list(values.items())
     while left:
         key, value = left.pop()

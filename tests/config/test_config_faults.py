@@ -176,7 +176,7 @@ def test_bad_task_name_gets_a_suggestion():
         (fault,) = faults(HEAD + f"[task.'{name}']\ntype = 'x'\n")
 
         assert fault.startswith("a.toml:4: [task.")
-        assert f"{name!a} is no name: a name has letters from a to z and A to Z, digits, '_' and '-'" in fault
+        assert f"{name!a} is not a name: a name has letters from a to z and A to Z, digits, '_' and '-'" in fault
         assert fault.endswith(f"did you mean {near!r}?")
 
     for_each(
@@ -197,8 +197,8 @@ def test_agents_and_fleets_have_names_too():
     text = 'schema = 1\n[agent]\nname = ""\nfleet = "a b"\n'
 
     first, second = faults(text)
-    assert first.startswith("a.toml:3: [agent] name: '' is no name")
-    assert second.startswith("a.toml:4: [agent] fleet: 'a b' is no name")
+    assert first.startswith("a.toml:3: [agent] name: '' is not a name")
+    assert second.startswith("a.toml:4: [agent] fleet: 'a b' is not a name")
 
 
 def test_a_long_name_is_refused():

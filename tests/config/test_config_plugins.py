@@ -166,7 +166,7 @@ radius_m = -1
 def test_a_channel_of_the_client_service_has_a_name():
     text = '[service.client]\nsettings = { channels = ["map", "a/b"] }\n'
     (said,) = faults(text, {**PARTS, ("pancakes.services", "client"): ClientService})
-    assert said.startswith("a.toml:5: [service.client] settings: channels: 'a/b' is no name: a name has letters")
+    assert said.startswith("a.toml:5: [service.client] settings: channels: 'a/b' is not a name: a name has letters")
 
 
 def test_a_second_network_service_is_refused_and_second_ones_of_the_others_are_not():
@@ -317,7 +317,10 @@ class TestDevices:
                 "a.toml:7: [device.b] driver: 'test.function' is not a driver but builtin_function_or_method len:"
                 " a defect of its distribution"
             ),
-            ("a.toml:9: [task.t] type: 'test.Service' is not a task but the class Service: a defect of its distribution"),
+            (
+                "a.toml:9: [task.t] type: 'test.Service' is not a task but the class Service:"
+                " a defect of its distribution"
+            ),
         ]
 
 

@@ -83,7 +83,7 @@ def test_a_variable_in_a_path_is_a_fault_and_no_folder(path: str) -> None:
         "[service.network] settings.keys",
         "[service.log] settings.file",
     ]
-    assert all("stays as it is written: write `~`" in it.problem for it in raised.value.faults)
+    assert all("is not expanded: write `~`" in it.problem for it in raised.value.faults)
 
 
 def test_a_dollar_that_begins_no_variable_is_part_of_a_path() -> None:

@@ -160,13 +160,13 @@ def test_a_directory_of_another_user_is_refused_with_what_to_do(tmp_path: Path) 
 def test_a_symbolic_link_is_followed_and_told(tmp_path: Path) -> None:
     target, link = tmp_path / "target", tmp_path / "link"
     link.symlink_to(target)
-    with pytest.raises(JournalError, match=f"{link} is a symbolic link to {target}: make that"):
+    with pytest.raises(JournalError, match=f"{link} is a symbolic link to {target}: make it"):
         FileJournal(link)
     target.mkdir(mode=0o700)
 
     journal = FileJournal(link)
 
-    assert journal.remarks == (f"the state directory {link} is a symbolic link: what lies in {target} is used",)
+    assert journal.remarks == (f"the state directory {link} is a symbolic link: {target} is used",)
     journal.write([SCAN])
     journal.check()
     link.unlink()

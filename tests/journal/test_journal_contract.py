@@ -158,7 +158,7 @@ def test_a_closed_journal_writes_nothing(disk: Disk) -> None:
         (lambda data: data[: len(data) // 2], "torn or damaged"),
         (lambda data: b"", "is empty"),
         (lambda data: data[:-3] + b"xyz", "torn or damaged"),
-        (lambda data: b"TOML" + data, "is no file of a journal"),
+        (lambda data: b"TOML" + data, "is not a file of a journal"),
     ],
     ids=["last byte missing", "half", "empty", "changed", "another format"],
 )
@@ -264,7 +264,7 @@ def test_a_journal_that_lost_its_identity_is_another_one_and_believes_nothing(di
 
 @pytest.mark.parametrize("kind", ["", "Task", "task.x", "identity"])
 def test_a_kind_is_a_word(disk: Disk, kind: str) -> None:
-    with pytest.raises(JournalError, match="no kind"):
+    with pytest.raises(JournalError, match="not a kind"):
         disk.open().write([JournalEntry(kind, "key", b"")])
 
 

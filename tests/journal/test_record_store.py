@@ -110,7 +110,7 @@ def test_one_entry_at_fault_does_not_fail_those_that_wait_with_it() -> None:
     journal.go_on.set()
     store.close()
 
-    assert told == ["a", "b", "'BAD' is no kind of journal entry: lower-case letters are", "c"]
+    assert told == ["a", "b", "'BAD' is not a kind of journal entry: use lower-case letters", "c"]
 
 
 @pytest.mark.parametrize("kind", ["threaded", "virtual"])
@@ -228,7 +228,7 @@ def test_who_tries_again_at_once_is_held_back_and_what_is_said_of_it_is_little()
     times = [when for when, _, _ in said]
     assert all(later - earlier > 4.99 for earlier, later in zip(times, times[1:], strict=False))
     full = "the journal cannot write: No space left on device (/state)"
-    assert said[0][1:] == ("error", f"{full}: it is tried again, first soon, then every 5 s")
+    assert said[0][1:] == ("error", f"{full}: it is retried, first soon, then every 5 s")
     assert said[-1][2].startswith(f"{full}: {journal.tries} tries in ")
     assert store.trouble("task", "a") == full
 

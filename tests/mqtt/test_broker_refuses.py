@@ -110,21 +110,21 @@ def test_mqtt_names_a_wrong_password_once(locked: Any, tmp_path: Path, protocol:
         says(agent, f"the broker {address} refuses pancakes-a-mqtt: ")
         agent.wait_until(lambda: broker.log().count("not authorised") >= 3)
         (line,) = agent.lines("error")
-        assert "look at user and password_file" in line
+        assert "check user and password_file" in line
 
 
 def test_mqtt_names_a_certificate_of_another_authority(locked: Any, tmp_path: Path) -> None:
     broker, settings = locked
     settings["ca"] = str(Authority(tmp_path, "theirs").path)
     with threaded_agent("a", services=service(f"mqtts://127.0.0.1:{broker.port}", **settings)) as agent:
-        says(agent, "is not there (its certificate is not believed (", "warning")
-        says(agent, "look at ca, and at the host in broker); trying until it is", "warning")
+        says(agent, "is not there (its certificate is not trusted (", "warning")
+        says(agent, "check ca, and the host in broker); trying until it is", "warning")
 
 
 def test_mqtt_names_a_certificate_of_another_host(locked: Any) -> None:
     broker, settings = locked
     with threaded_agent("a", services=service(f"mqtts://localhost:{broker.port}", **settings)) as agent:
-        says(agent, "its certificate is not believed (", "warning")
+        says(agent, "its certificate is not trusted (", "warning")
 
 
 def test_mqtt_shows_its_certificate_to_a_broker(tmp_path: Path, mosquitto: Brokers) -> None:
@@ -151,7 +151,7 @@ def test_mqtt_names_a_port_without_tls(broker: Mosquitto) -> None:
     ("mode", "text", "problem"),
     [
         (0o644, "secret", "every user of this machine can read"),
-        (0o600, "", "is empty; its first line is to be the password"),
+        (0o600, "", "is empty; its first line must be the password"),
         (None, "", "cannot be read: No such file or directory"),
     ],
 )
@@ -172,7 +172,7 @@ def test_mqtt_names_a_pipe_in_the_place_of_a_file(tmp_path: Path, key: str) -> N
     settings = {"user": "robot", **({"key": str(path)} if key == "certificate" else {}), key: str(path)}
     with threaded_agent("a", services=service("mqtts://127.0.0.1:9", **settings)) as agent:
         error = agent.wait_for_event("service_failed", service="mqtt")["error"]
-        assert f"{key}: {path} cannot be read: it is a pipe, and no file" in error
+        assert f"{key}: {path} cannot be read: it is a pipe, not a file" in error
 
 
 def test_mqtt_names_a_qos_that_is_not_granted(mosquitto: Brokers) -> None:

@@ -109,10 +109,10 @@ def test_what_is_no_reading_is_named_once_and_the_next_reading_counts(broker: Mo
         broker.pub("zigbee2mqtt/shed", '{"temperature": 20.5}', "-q", "1")
         agent.wait_for(Temperature)
         assert [packet.body.celsius for packet in agent.probe.packets(Temperature)] == [20.5]
-        warnings = [line for line in agent.lines("warning") if "is no reading" in line]
+        warnings = [line for line in agent.lines("warning") if "is not a reading" in line]
         assert warnings == [
-            "device: a reading is missed: what zigbee2mqtt/shed says is no reading: it has no key 'temperature' of the"
-            " path 'temperature', only none"
+            "device: a reading is missed: a message on zigbee2mqtt/shed is not a reading: it has no key 'temperature'"
+            " of the path 'temperature', only none"
         ]
         assert agent.ask(Describe("device")).result["readings"]["missed"] == 5
 
@@ -122,7 +122,7 @@ def test_what_is_not_finite_is_no_reading(broker: Mosquitto, word: str) -> None:
     with threaded_agent("a", devices=device(MqttTemperature, broker, topic="t")) as agent:
         is_heard(agent, broker)
         broker.pub("t", word)
-        agent.wait_until(lambda: any("is no finite number" in line for line in agent.lines("warning")))
+        agent.wait_until(lambda: any("is not a finite number" in line for line in agent.lines("warning")))
         assert not agent.probe.packets(Temperature)
 
 
@@ -174,21 +174,21 @@ def test_devices_share_a_connection_and_one_that_stops_leaves_the_others(broker:
 def test_it_refuses_virtual_time_with_a_sentence(virtual_agent: Any) -> None:
     agent = virtual_agent("a", devices={"air": {"type": MqttTemperature, "settings": {"topic": "t"}}})
     failed = agent.wait_for_event("task_failed", task="air")
-    assert "a/device/air speaks to a broker, which knows no virtual time: give it a null driver" in failed["error"]
+    assert "a/device/air needs a broker, which has no virtual time: give it a null driver" in failed["error"]
 
 
 @pytest.mark.parametrize(
     ("settings", "problem"),
     [
         ({}, "topic is missing, or form and device"),
-        ({"form": "esphome", "device": "yard"}, "is no device of esphome, whose names are such as 'node/id'"),
+        ({"form": "esphome", "device": "yard"}, "is not a device of esphome, whose names are like 'node/id'"),
         ({"form": "zigbee2mqtt"}, "form = 'zigbee2mqtt' needs the name of a device"),
-        ({"device": "x", "topic": "t"}, "device = 'x' says nothing without form"),
-        ({"topic": "a/#/b"}, "# stands alone, behind the last /"),
-        ({"topic": "a/b+"}, "+ stands alone between two /"),
-        ({"topic": "t", "broker": "http://x"}, "is no address such as 'mqtt://"),
-        ({"topic": "t", "broker": "mqtt://me:secret@x"}, "write it as user, and the password into a file"),
-        ({"topic": "t", "ca": "ca.pem"}, "is not encrypted, so ca and certificate say nothing"),
+        ({"device": "x", "topic": "t"}, "device = 'x' has no use without form"),
+        ({"topic": "a/#/b"}, "# must be alone after the last /"),
+        ({"topic": "a/b+"}, "+ must be alone between two /"),
+        ({"topic": "t", "broker": "http://x"}, "is not an address such as 'mqtt://"),
+        ({"topic": "t", "broker": "mqtt://me:secret@x"}, "write it as user, and the password in a file"),
+        ({"topic": "t", "ca": "ca.pem"}, "is not encrypted, so ca and certificate have no use"),
         ({"topic": "t", "broker": "mqtts://x", "key": "k"}, "certificate and key go together"),
         ({"topic": "t", "password_file": "p"}, "password_file goes with user"),
         ({"topic": "t", "qos": 3}, "qos"),
@@ -241,8 +241,9 @@ def test_what_is_sound_in_a_message_is_read_and_the_rest_is_named_once(broker: M
         agent.wait_until(lambda: len(agent.probe.packets(Temperature)) == 3)
         agent.wait_until(lambda: agent.ask(Describe("damp")).result["readings"]["missed"] == 3)
         warnings = [line for line in agent.lines("warning") if line.startswith("air: ")]
-        assert warnings == ["air: what t says is no JSON in part (humidity is nan): the rest of it is read"]
-        assert any("what t says is no reading: nan is no finite number" in line for line in agent.lines("warning"))
+        assert warnings == ["air: a message on t is partly not JSON (humidity is nan): the rest is read"]
+        missed = "a message on t is not a reading: nan is not a finite number"
+        assert any(missed in line for line in agent.lines("warning"))
 
 
 def test_a_voltage_that_cannot_be_read_costs_no_level(broker: Mosquitto) -> None:
@@ -299,8 +300,8 @@ def test_a_payload_that_is_too_large_is_not_taken(broker: Mosquitto, protocol: s
 @pytest.mark.parametrize(
     ("settings", "problem"),
     [
-        ({"topic": "$share/crew"}, "a shared subscription reads $share/GROUP/FILTER"),
-        ({"topic": "$share/crew/a", "retained": True}, "a broker sends what it has kept to no shared subscription"),
+        ({"topic": "$share/crew"}, "a shared subscription has the form $share/GROUP/FILTER"),
+        ({"topic": "$share/crew/a", "retained": True}, "shared subscriptions get no retained messages"),
         ({"topic": "t", "true_values": ["Shut"], "false_values": ["shut"]}, "true_values and false_values both have"),
         ({"topic": "t", "largest_bytes": 0}, "largest_bytes"),
     ],

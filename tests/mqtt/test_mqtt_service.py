@@ -78,11 +78,11 @@ def test_messages_become_packets_as_the_table_says(broker: Mosquitto) -> None:
 @pytest.mark.parametrize(
     ("payload", "complaint"),
     [
-        ('{"x_m": "far", "y_m": 2, "theta_rad": 0}', "x_m: 'far' is no number"),
+        ('{"x_m": "far", "y_m": 2, "theta_rad": 0}', "x_m: 'far' is not a number"),
         ('{"y_m": 2}', "missing required field `x_m`"),
-        ("noise", "and the payload is no JSON object"),
-        ("[1, 2]", "and the payload is no JSON object"),
-        ("[" * 5000, "and the payload is no JSON object"),
+        ("noise", "and the payload is not a JSON object"),
+        ("[1, 2]", "and the payload is not a JSON object"),
+        ("[" * 5000, "and the payload is not a JSON object"),
     ],
 )
 def test_what_fits_no_packet_is_named_once_and_counted(broker: Mosquitto, payload: str, complaint: str) -> None:
@@ -91,8 +91,8 @@ def test_what_fits_no_packet_is_named_once_and_counted(broker: Mosquitto, payloa
         is_heard(agent, broker)
         broker.pub_lines("goal", [payload, payload, '{"x_m": 1, "y_m": 2, "theta_rad": 0}'])
         agent.wait_for(Pose)
-        (line,) = [line for line in agent.lines("warning") if "is no pose" in line]
-        assert line.startswith("what goal says is no pose: ") and complaint in line
+        (line,) = [line for line in agent.lines("warning") if "is not a pose" in line]
+        assert line.startswith("a message on goal is not a pose: ") and complaint in line
 
 
 def test_what_the_service_takes_it_does_not_send_back(broker: Mosquitto) -> None:
@@ -128,14 +128,14 @@ def test_rates_are_bounded_for_each_publisher(broker: Mosquitto) -> None:
 @pytest.mark.parametrize(
     ("settings", "problem"),
     [
-        ({"take": [{"topic": "t", "type": "pose", "channel": "sysctrl"}]}, "no message becomes a packet on sysctrl"),
-        ({"take": [{"topic": "t", "type": "pose", "channel": "log"}]}, "no message becomes a packet on log"),
-        ({"take": [{"topic": "a/#b", "type": "pose"}]}, "# stands alone"),
+        ({"take": [{"topic": "t", "type": "pose", "channel": "sysctrl"}]}, "messages cannot become packets on sysctrl"),
+        ({"take": [{"topic": "t", "type": "pose", "channel": "log"}]}, "messages cannot become packets on log"),
+        ({"take": [{"topic": "a/#b", "type": "pose"}]}, "# must be alone"),
         (
             {"publish": [{"channel": "system", "topic": "x/{robot}"}]},
-            "has the place {robot}; there are {agent}, {source}",
+            "has the placeholder {robot}; known are {agent}, {source}",
         ),
-        ({"publish": [{"channel": "system", "topic": "x/+"}]}, "+ stands only in what is subscribed to"),
+        ({"publish": [{"channel": "system", "topic": "x/+"}]}, "only filters may contain +"),
         ({"publish": [{"channel": "a b", "topic": "x"}]}, "a b"),
         ({"status": "a/#"}, "status: "),
     ],
@@ -160,4 +160,4 @@ def test_a_type_that_is_not_there_is_named(broker: Mosquitto, row: dict[str, Any
 def test_it_refuses_virtual_time_with_a_sentence(virtual_agent: Any) -> None:
     agent = virtual_agent("a", services={"mqtt": MqttBridge})
     failed = agent.wait_for_event("service_failed", service="mqtt")
-    assert "a/mqtt speaks to a broker, which knows no virtual time: leave it out there" in failed["error"]
+    assert "a/mqtt needs a broker, which has no virtual time: leave it out then" in failed["error"]

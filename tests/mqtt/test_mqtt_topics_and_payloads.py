@@ -97,14 +97,14 @@ def test_a_path_leads_to_a_value(payload: bytes, path: str, value: Any) -> None:
 @pytest.mark.parametrize(
     ("payload", "path", "sentence"),
     [
-        (b"noise", "a", "'noise' is no JSON"),
-        (b"\xff\xfe", "", "is no text"),
+        (b"noise", "a", "'noise' is not JSON"),
+        (b"\xff\xfe", "", "is not text"),
         (b'{"a": 1}', "b", "it has no key 'b' of the path 'b', only a"),
-        (b'{"a": 1}', "a.b", "the path 'a.b' leads on at 'b', where 1 stands"),
+        (b'{"a": 1}', "a.b", "the path 'a.b' leads on at 'b', but 1 is there"),
         (b'{"a": [1]}', "a.3", "the path 'a.3' wants item 3, and its list has 1"),
         (b'{"X": {"T": 3}, "Y": {"T": 4}}', "*.T", "leads to 2 values"),
         (b'{"X": {"H": 3}}', "*.T", "leads to nothing"),
-        (b"[" * 100_000, "a", "is no JSON"),
+        (b"[" * 100_000, "a", "is not JSON"),
     ],
 )
 def test_a_path_that_leads_nowhere_is_named(payload: bytes, path: str, sentence: str) -> None:
@@ -181,8 +181,8 @@ def test_what_cannot_be_read_at_all_is_said_in_a_sentence(payload: bytes) -> Non
         ("motion", b'{"detected":0}', Motion(False), []),
         ("motion", b'{"detected":true,"range_m":"2"}', Motion(True, None, 2.0), []),
         ("motion", b'{"detected":true,"range_m":"unknown"}', Motion(True), []),
-        ("motion", b'{"detected":true,"range_m":NaN}', Motion(True), ["range_m: nan is no finite number"]),
-        ("motion", b'{"detected":true,"range_m":"far"}', Motion(True), ["range_m: 'far' is no number"]),
+        ("motion", b'{"detected":true,"range_m":NaN}', Motion(True), ["range_m: nan is not a finite number"]),
+        ("motion", b'{"detected":true,"range_m":"far"}', Motion(True), ["range_m: 'far' is not a number"]),
         ("memory", b'{"used_bytes":"10","total_bytes":20}', Memory(10, 20), []),
         ("mqtt.number", b'{"value":1,"unit":"1"}', Number(1.0, "1"), []),
     ],
@@ -194,9 +194,9 @@ def test_a_packet_is_made_of_numbers_as_drivers_read_them(kind: str, payload: by
 @pytest.mark.parametrize(
     ("kind", "payload", "sentence"),
     [
-        ("temperature", b'{"celsius":NaN}', "celsius: nan is no finite number"),
-        ("temperature", b'{"celsius":"unknown"}', "celsius: the device cannot tell"),
-        ("temperature", b'{"celsius":null}', "celsius: the device cannot tell"),
+        ("temperature", b'{"celsius":NaN}', "celsius: nan is not a finite number"),
+        ("temperature", b'{"celsius":"unknown"}', "celsius: the device reports no value"),
+        ("temperature", b'{"celsius":null}', "celsius: the device reports no value"),
         ("memory", b'{"used_bytes":"1.5","total_bytes":20}', "used_bytes"),
         ("battery", b'{"voltage_v":7.0,"level":1.2}', "<= 1.0"),
     ],

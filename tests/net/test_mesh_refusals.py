@@ -58,7 +58,7 @@ def test_packets_under_another_name_are_dropped_and_logged(rig, agent, channel):
         sent = [message_of(order), message_of(replace(order, seq=2)), message_of(replace(order, source=own))]
         ear.connection.send(raw_hello(peer) + frame([encode_link_message(Welcome()), *sent]))
         rig.until(lambda own=own: a.packets and a.packets[-1].source == own)
-        said = f"{peer} (agent) sends packets of {source} on {channel!r}, and may speak for itself alone"
+        said = f"{peer} (agent) sends packets of {source} on {channel!r}, but may speak only for itself"
         assert said in a.log("warning")
     assert [packet.source for packet in a.packets] == ["0/c/T", "1/c/T", "2/c/T", "3/c/T"] and a.unfit == []
     assert [peer["refused"] for peer in a.mesh.describe()["peers"]] == [2, 2, 2, 2]

@@ -409,5 +409,5 @@ def was_closed(link: socket.socket) -> bool:
 def test_keys_in_a_folder_that_others_can_write_to_are_refused(rig):
     folder = rig.enrol("a")
     folder.chmod(0o770)
-    with pytest.raises(PancakesError, match=r"others can put other files into the folder with keys .*: chmod 700 it"):
+    with pytest.raises(PancakesError, match=r"others can put files into the key folder .*: chmod 700 it"):
         rig.with_keys(folder)

@@ -147,9 +147,9 @@ def test_a_distribution_whose_metadata_is_damaged_harms_no_other(install: Instal
 
 
 def test_a_group_that_does_not_exist_is_a_mistake_in_our_own_code():
-    with pytest.raises(ValueError, match=r"'pancakes.task' is no group of plug-ins"):
+    with pytest.raises(ValueError, match=r"'pancakes.task' is not a group of plug-ins"):
         Plugins().names("pancakes.task")
-    with pytest.raises(ValueError, match=r"'task' is no group of plug-ins"):
+    with pytest.raises(ValueError, match=r"'task' is not a group of plug-ins"):
         Plugins(extra={("task", "x"): object})
 
 

@@ -244,7 +244,7 @@ def test_a_file_that_was_only_just_made_spoils_no_recording(tmp_path, data):
     (tmp_path / "r.002.mcap").write_bytes(data)
     entries, reader = read(tmp_path / "r.mcap")
     assert entries == [pose(0)]
-    assert reader.notes() == [f"{tmp_path}/r.002.mcap is cut off: it has nothing yet"]
+    assert reader.notes() == [f"{tmp_path}/r.002.mcap is cut off: it is empty"]
     assert not repair(tmp_path / "r.002.mcap").whole
     entries, reader = read(tmp_path / "r.mcap")
     assert (entries, reader.notes()) == ([pose(0)], [])
@@ -259,7 +259,7 @@ def test_a_file_is_one_from_its_making_on(tmp_path):
 
 def test_what_is_no_recording_is_named(tmp_path):
     (tmp_path / "r.mcap").write_bytes(b"no recording")
-    with pytest.raises(RecordingError, match=r"r\.mcap is no recording"):
+    with pytest.raises(RecordingError, match=r"r\.mcap is not a recording"):
         read(tmp_path / "r.mcap")
     with pytest.raises(RecordingError, match="there is no recording"):
         read(tmp_path / "none.mcap")
@@ -278,7 +278,7 @@ def test_a_topic_that_another_program_has_changed_is_named(tmp_path):
         writer.add_message(channel, 0, b"{}", 0)
         writer.finish()
     entries, reader = read(tmp_path / "r.mcap")
-    told = f"{tmp_path}/r.mcap: its topic '/robot/a/system/pose' does not read /AGENT/CHANNEL/TYPE"
+    told = f"{tmp_path}/r.mcap: its topic '/robot/a/system/pose' is not of the form /AGENT/CHANNEL/TYPE"
     assert (entries, reader.notes()) == ([], [told])
 
 
@@ -325,7 +325,7 @@ def test_recordings_in_virtual_time_and_of_the_day_are_told_apart(tmp_path):
     [note] = reader.notes()
     assert (
         note
-        == f"{tmp_path}/virtual.mcap is in virtual time and {tmp_path}/live.mcap is not: their times do not go together"
+        == f"{tmp_path}/virtual.mcap is in virtual time and {tmp_path}/live.mcap is not: their times cannot be compared"
     )
 
 

@@ -132,7 +132,7 @@ def test_a_key_of_another_user_is_refused(rig):
 def test_a_key_in_a_folder_of_another_user_is_refused(rig):
     folder = rig.enrol("a")
     os.chown(folder, 1234, -1)
-    with pytest.raises(PancakesError, match="others can put other files into the folder with keys"):
+    with pytest.raises(PancakesError, match="others can put files into the key folder"):
         Keys(folder)
 
 
@@ -140,7 +140,7 @@ def test_a_key_that_is_a_link_to_another_file_is_refused(rig):
     folder, other = rig.enrol("a"), rig.enrol("b")
     (folder / "key.pem").unlink()
     (folder / "key.pem").symlink_to(other / "key.pem")
-    with pytest.raises(PancakesError, match=r"the key .*key\.pem is no file"):
+    with pytest.raises(PancakesError, match=r"the key .*key\.pem is not a file"):
         Keys(folder)
 
 
@@ -149,7 +149,7 @@ def test_a_pipe_among_the_keys_keeps_nobody_waiting(rig, file):
     folder = rig.enrol("a")
     (folder / file).unlink()
     os.mkfifo(folder / file, 0o600)
-    with pytest.raises(PancakesError, match=rf"{file} (is no file|cannot be used: it is a pipe, and no file)"):
+    with pytest.raises(PancakesError, match=rf"{file} (is not a file|cannot be used: it is a pipe, not a file)"):
         Keys(folder)
 
 

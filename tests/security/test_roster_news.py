@@ -53,7 +53,7 @@ def test_roster_and_clock_decisions():
                 EARLY_S,
                 "its certificate was revoked (roster 7): agent/r2: lost",
             ),
-            (Certified("barn", "agent", "r1"), NOW_S, "its certificate is of the fleet barn, and ours of garage"),
+            (Certified("barn", "agent", "r1"), NOW_S, "its certificate is of the fleet barn, but ours of garage"),
         ],
         check,
     )
@@ -74,9 +74,9 @@ def test_roster_choice():
         [
             (Roster("garage", 8, NOW_S), ROSTER, NOW_S, ""),
             (Roster("garage", 1, NOW_S), None, NOW_S, ""),
-            (Roster("garage", 7, NOW_S), ROSTER, NOW_S, "the roster 7 is older than the roster 7, which is known"),
-            (Roster("garage", 6, NOW_S), ROSTER, NOW_S, "the roster 6 is older than the roster 7, which is known"),
-            (Roster("barn", 8, NOW_S), ROSTER, NOW_S, "the roster 8 is of the fleet barn, and this is garage"),
+            (Roster("garage", 7, NOW_S), ROSTER, NOW_S, "the roster 7 is older than the roster 7, which is already here"),
+            (Roster("garage", 6, NOW_S), ROSTER, NOW_S, "the roster 6 is older than the roster 7, which is already here"),
+            (Roster("barn", 8, NOW_S), ROSTER, NOW_S, "the roster 8 is of the fleet barn, but this is garage"),
             (Roster("garage", 8, NOW_S + LATEST_S - DAY_S + 1), ROSTER, EARLY_S, "is dated 30 days after"),
             (Roster("garage", 8, NOW_S + LATEST_S - DAY_S), ROSTER, EARLY_S, ""),
             (Roster("garage", 8, LATE_S), ROSTER, NOW_S, "sign it with pancakes fleet sign --any-date"),
@@ -90,14 +90,14 @@ def test_roster_choice():
 
 @pytest.mark.parametrize("text", [b"", b"{}", b"[]", b'{"payload": "{}", "signature": ""}'])
 def test_what_is_no_roster(text):
-    with pytest.raises(ValueError, match="it is no roster"):
+    with pytest.raises(ValueError, match="it is not a roster"):
         read_signed(text)
 
 
 def test_a_roster_is_no_larger_than_what_may_travel():
     sound = json.dumps({"payload": '{"fleet": "garage", "number": 1, "signed_s": 0.0}', "signature": ""}).encode()
     assert read_signed(sound.ljust(MOST_BYTES))[1].fleet == "garage"
-    with pytest.raises(ValueError, match="it has 131073 bytes, and 131072 are the most"):
+    with pytest.raises(ValueError, match="it has 131073 bytes, but at most 131072 are allowed"):
         read_signed(sound.ljust(MOST_BYTES + 1))
 
 
@@ -110,22 +110,22 @@ def test_bearer_of_a_certificate():
         [
             (ROBOT, "r1", "agent", "garage", ""),
             (PERSON, "alice.4f", "client", "garage", ""),
-            (ROBOT, "r1x", "agent", "garage", "it calls itself r1x, and its certificate is r1's (agent)"),
+            (ROBOT, "r1x", "agent", "garage", "it calls itself r1x, but its certificate is r1's (agent)"),
             (
                 ROBOT,
                 "r1",
                 "environment",
                 "garage",
-                "r1 comes as environment, and its certificate is for the role agent",
+                "r1 comes as environment, but its certificate is for the role agent",
             ),
-            (ROBOT, "r1", "agent", "barn", "r1 says that it is of the fleet barn, and its certificate says garage"),
-            (PERSON, "alice", "client", "garage", "it calls itself alice, and its certificate is alice's (operator)"),
+            (ROBOT, "r1", "agent", "barn", "r1 says that it is of the fleet barn, but its certificate says garage"),
+            (PERSON, "alice", "client", "garage", "it calls itself alice, but its certificate is alice's (operator)"),
             (
                 PERSON,
                 "alicex.1",
                 "client",
                 "garage",
-                "it calls itself alicex.1, and its certificate is alice's (operator)",
+                "it calls itself alicex.1, but its certificate is alice's (operator)",
             ),
         ],
         check,

@@ -119,7 +119,7 @@ def test_what_came_over_a_link_that_has_ended_since_has_no_more_rights(rig, monk
     peer.connection.close("it goes")
     rig.until(lambda: a.downs)
     assert asked == [refused]
-    assert a.access.fault("y", "end", "a") == "a has no link to y any more, so it is not known what y may do"
+    assert a.access.fault("y", "end", "a") == "a has no link to y any more, so the rights of y are not known"
 
 
 class Held:
@@ -285,7 +285,7 @@ def test_a_roster_of_another_fleet_is_not_taken_whoever_has_signed_it(rig):
     a = rig.agent("a")
     peer = speaks(rig, a)
     peer.send(encode_link_message(RosterText(signed(rig.directory / "authority", fleet="barn"))))
-    rig.until(lambda: "the roster 90 is of the fleet barn, and this is default" in a.log("warning"))
+    rig.until(lambda: "the roster 90 is of the fleet barn, but this is default" in a.log("warning"))
     assert number_of(rig, a) < 90 and peer.over is None
 
 
@@ -298,7 +298,7 @@ def test_what_checks_a_roster_reads_no_more_than_one_may_have(rig):
         checks.stdin.flush()  # and more may come
         try:
             assert checks.wait(20.0) == FALSE
-            assert checks.stderr.read() == b"it has 131073 bytes, and 131072 are the most\n"
+            assert checks.stderr.read() == b"it has 131073 bytes, but at most 131072 are allowed\n"
         finally:
             checks.kill()
 
@@ -398,17 +398,17 @@ def test_one_fleet_does_not_believe_another_of_the_same_authority(rig):
     here = rig.ear()
     rig.with_keys(folder).dial(a.address, here)
     rig.until(lambda: here.closed_for)
-    assert "its certificate is of the fleet default, and ours of other" in here.closed_for[0]
+    assert "its certificate is of the fleet default, but ours of other" in here.closed_for[0]
 
 
 @pytest.mark.parametrize(
     ("enrolled", "name", "role", "why"),
     [
-        (("b", "agent"), "c", "agent", "it calls itself c, and its certificate is b's (agent)"),
-        (("b", "agent"), "b", "environment", "b comes as environment, and its certificate is for the role agent"),
-        (("alice", "operator"), "alice", "client", "it calls itself alice, and its certificate is alice's (operator)"),
+        (("b", "agent"), "c", "agent", "it calls itself c, but its certificate is b's (agent)"),
+        (("b", "agent"), "b", "environment", "b comes as environment, but its certificate is for the role agent"),
+        (("alice", "operator"), "alice", "client", "it calls itself alice, but its certificate is alice's (operator)"),
         (("alice", "observer"), "alice.1", "agent", "'alice.1' is no name"),
-        (("alice", "observer"), "bob.1", "client", "it calls itself bob.1, and its certificate is alice's (observer)"),
+        (("alice", "observer"), "bob.1", "client", "it calls itself bob.1, but its certificate is alice's (observer)"),
     ],
 )
 def test_a_hello_must_be_as_the_certificate_says(rig, enrolled, name, role, why):

@@ -175,15 +175,15 @@ def test_the_file_of_rules_keeps_what_a_person_wrote(tmp_path):
         ("[[access.deny]]\nwho = ['x']\n", "access.deny: unknown key"),
         ("[[access.allow]]\nwho = ['x']\nmay = ['look']\nfrom = ['y']\n", "access.allow[0].from: unknown key"),
         ("[[access.allow]]\nwho = 'x'\nmay = ['look']\n", "access.allow[0].who: expected a list"),
-        ("[access", "not sound"),
+        ("[access", "not valid"),
     ],
 )
 def test_a_file_that_is_not_sound_is_named(tmp_path, text, why):
     (tmp_path / RULES).write_text(text)
-    with pytest.raises(PancakesError, match=r"the rules .*rules\.toml are not sound") as raised:
+    with pytest.raises(PancakesError, match=r"the rules .*rules\.toml are not valid") as raised:
         read_rules(tmp_path)
     assert why in str(raised.value)
-    with pytest.raises(PancakesError, match="are not sound"):
+    with pytest.raises(PancakesError, match="are not valid"):
         add_rule(tmp_path, AccessRule(("r2",), ("look",)))
     assert (tmp_path / RULES).read_text() == text
 

@@ -46,5 +46,5 @@ def test_a_line_that_says_nothing_is_opened_again_and_that_is_told_once(fleet: F
     assert told == [f"line: nothing has come from the line at {LINE} for 10 s: it is opened again"]
     ends.stand[-1].send(b"\0noise")
     fleet.run_for(2.0)
-    assert f"line: the line at {LINE} speaks again" in gateway.lines("info")
+    assert f"line: the line at {LINE} sends again" in gateway.lines("info")
     assert not gateway.lines("error")

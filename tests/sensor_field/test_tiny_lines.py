@@ -86,7 +86,7 @@ def test_a_report_period_reaches_the_node_just_after_it_has_spoken(bench: Any) -
 @pytest.mark.parametrize(
     ("wish", "complaint"),
     [
-        (ReportPeriod(1.0, "barn"), "means a tiny node 'barn'; there are shed, gate"),
+        (ReportPeriod(1.0, "barn"), "names a tiny node 'barn'; the nodes are shed, gate"),
         (ReportPeriod(0.0), "asks for a report period of 0 s: 0.1 to 3276.7"),
         (Temperature(1.0), "sent 'temperature', which no tiny node understands"),
     ],
@@ -198,9 +198,9 @@ def test_a_serial_port_that_is_silent_can_be_closed_at_once() -> None:
         (SerialNodes, {"port": "/dev/null", "nodes": {"a": 7, "b": 7}}, "not the only node with the number 7"),
         (SerialNodes, {"port": "/dev/null", "nodes": {"a": 255}}, "255"),
         (SerialNodes, {"port": "/dev/null", "nodes": {"a": 7}, "period_s": 0.01}, "0.1"),
-        (UdpNodes, {"listen": "tcp://127.0.0.1:7421", "nodes": {"a": 7}}, "no address such as 'udp://"),
+        (UdpNodes, {"listen": "tcp://127.0.0.1:7421", "nodes": {"a": 7}}, "not an address such as 'udp://"),
         (UdpNodes, {"listen": "udp://127.0.0.1", "nodes": {"a": 7}}, "has no port"),
-        (TcpNodes, {"address": "udp://127.0.0.1:7421", "nodes": {"a": 7}}, "no address such as 'tcp://"),
+        (TcpNodes, {"address": "udp://127.0.0.1:7421", "nodes": {"a": 7}}, "not an address such as 'tcp://"),
     ],
 )
 def test_bad_settings_are_refused_with_a_sentence(driver: Any, settings: dict[str, Any], problem: str) -> None:

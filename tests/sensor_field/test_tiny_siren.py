@@ -102,7 +102,7 @@ def test_its_driver_says_that_it_does(fleet: Fleet, hardware: Hardware) -> None:
 
 def test_a_node_that_has_not_spoken_cannot_be_commanded_and_that_is_said_once(fleet: Fleet, hardware: Hardware) -> None:
     gateway = fleet.agents["gateway"]
-    warned = "the siren of shed is not commanded: the node has not spoken on its line yet"
+    warned = "the siren of shed is not commanded: the node has not sent on its line yet"
     assert sum(warned in line for line in gateway.lines("warning")) == 1
     hardware.start()
     assert hardware.sounds_in(0.3)

@@ -139,7 +139,7 @@ def test_a_task_that_is_written_down_each_time_neither_keeps_the_machine_busy_no
             agent.wait_until(lambda: len(lines()) == 2, what="a second line about the journal")
         first, second = lines()
         reason = f"the journal cannot write: Is a directory ({state})"
-        assert first == f"{reason}: it is tried again, first soon, then every 5 s"
+        assert first == f"{reason}: it is retried, first soon, then every 5 s"
         tries, words, *_ = second.partition("): ")[2].split()
         assert words == "tries" and 3 <= int(tries) <= 9
         agent.wait_until(lambda: len(lines()) == 3)
@@ -153,7 +153,7 @@ def test_a_symbolic_link_is_followed_and_told(tmp_path):
     link.symlink_to(tmp_path / "elsewhere")
     with threaded_agent("a", tasks={"Count": Count}, state_dir=link) as agent:
         (told,) = [line for line in agent.lines("warning") if "symbolic link" in line]
-        assert told.endswith(f"{link} is a symbolic link: what lies in {tmp_path / 'elsewhere'} is used")
+        assert told.endswith(f"{link} is a symbolic link: {tmp_path / 'elsewhere'} is used")
     assert (tmp_path / "elsewhere" / "record.a%2FCount.rec").exists()
 
 

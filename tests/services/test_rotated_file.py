@@ -114,7 +114,7 @@ def test_a_pipe_is_no_log_file_and_keeps_nobody_waiting(path):
     path.parent.mkdir()
     os.mkfifo(path)  # opening it would wait for a reader
     file = RotatedFile(str(path), 1000, 2)
-    with pytest.raises(OSError, match="it is a pipe, and no file"):
+    with pytest.raises(OSError, match="it is a pipe, not a file"):
         file.write("lost")
     path.unlink()
     file.write("kept")

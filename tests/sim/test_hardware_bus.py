@@ -250,7 +250,7 @@ def test_garbage_closes_that_connection_and_no_other(rig):
     rig.network.transport("stranger").dial(ADDRESS, rude)
     rig.run(1.0)
     assert rude.reason is not None
-    assert "that is no request to a simulated world" in rig.world_log[0][1]
+    assert "that is not a request to a simulated world" in rig.world_log[0][1]
     assert [line for line in context.lines if line[0] == "error"] == []
 
 
@@ -267,9 +267,9 @@ def test_requests_are_read_however_the_network_cuts_them(cut):
 
 
 def test_a_request_of_the_wrong_shape_is_refused():
-    with pytest.raises(RemoteProtocolError, match="no request to a simulated world"):
+    with pytest.raises(RemoteProtocolError, match="not a request to a simulated world"):
         hardware_bus.RequestReader().feed(hardware_bus.encode(hardware_bus.Reading("ir", "ir", {})))
-    with pytest.raises(RemoteProtocolError, match="no reply of a simulated world"):
+    with pytest.raises(RemoteProtocolError, match="not a reply of a simulated world"):
         hardware_bus.ReplyReader().feed(hardware_bus.encode(hardware_bus.Halt("a", "motors")))
 
 

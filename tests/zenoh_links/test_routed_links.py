@@ -216,7 +216,7 @@ def test_what_is_wrong_is_said_with_what_to_do(rig, tmp_path):
     with pytest.raises(PancakesError, match="none.json5 cannot be used for Zenoh"):
         transport_with(rig, file=str(tmp_path / "none.json5")).listen("zenoh://x:1", rig.ear)
     os.mkfifo(tmp_path / "pipe.json5")
-    with pytest.raises(PancakesError, match=r"pipe\.json5 cannot be used for Zenoh: .*it is a pipe, and no file"):
+    with pytest.raises(PancakesError, match=r"pipe\.json5 cannot be used for Zenoh: .*it is a pipe, not a file"):
         transport_with(rig, file=str(tmp_path / "pipe.json5")).listen("zenoh://x:1", rig.ear)
     ear = rig.ear()
     transport_with(rig, routers=["tcp/127.0.0.1:1"], dial_s=3).dial("zenoh://x:1", ear)

@@ -1,9 +1,9 @@
-"""How a robot steers round what it sees.
+"""How a robot steers round obstacles.
 
-A round robot with two driven wheels can always stop, and turn on the spot without touching anything. So it is safe
-as long as it never drives forward into what stands in its way: `room_ahead` bounds the speed by that. And it comes
-past what stands in its way by turning to the free bearing nearest to the one that it wants: `free_bearing` (after
-the vector field histogram of Borenstein and Koren, 1991, with the bearings exact instead of in sectors).
+A round robot with two driven wheels can always stop, and turn on the spot without touching anything. So it is safe as
+long as it never drives forward into an obstacle: `room_ahead` bounds the speed. It passes an obstacle by turning to the
+free bearing nearest to the wanted one: `free_bearing` (after the vector field histogram of Borenstein and Koren, 1991,
+with exact bearings instead of sectors).
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ Point = tuple[float, float]
 EDGE_RAD = math.radians(2.0)
 """How far beside a blocked bearing the robot steers."""
 TO_THE_RIGHT_RAD = 0.5
-"""What passing on the right costs more than on the left. Two robots that meet both keep to the left; and on a
+"""The extra cost of passing on the right. Two robots that meet both keep to the left; and on a
 circle that is taken clockwise the left is outside, where there is room and the way leads on along the circle."""
 CHANGE_RAD = 1.2
-"""What changing one's mind about the side costs: less than this is gained by none of the wavering of noise."""
+"""The cost of changing the side: noise never gains this much."""
 
 
 @dataclass(frozen=True)
@@ -33,11 +33,11 @@ class Avoidance:
     Attributes:
         body_radius_m: radius of its body.
         clearance_m: how much room it wants between its edge and what it passes.
-        look_ahead_m: how far from its edge it begins to mind what it sees.
+        look_ahead_m: the distance from its edge within which obstacles count.
         memory_s: how long it remembers what it no longer sees.
         turn_radps: how fast it turns towards a free bearing.
-        patience_s: how long a robot on a circle waits for what may move on by itself.
-        reaction_s: it drives no faster than to reach what stands in its way in this time.
+        patience_s: how long a robot on a circle waits for an obstacle that may move away.
+        reaction_s: it drives no faster than to reach an obstacle in this time.
     """
 
     body_radius_m: Positive = 0.065
@@ -63,11 +63,11 @@ def free_bearing(
         points: what the robot sees, in the frame of its body.
         wanted_rad: where it would like to drive.
         keep_m: how far its centre must stay from every point.
-        reach_m: how far from its centre it minds them.
+        reach_m: the distance from its centre within which they count.
         side: the side on which it already passes something: 1 left, -1 right, 0 none.
 
     Returns:
-        A bearing in (-pi, pi]; None where it is shut in.
+        A bearing in (-pi, pi]; None if there is no free bearing.
     """
     sectors = _sectors(points, keep_m, reach_m)
     best, best_cost = None, math.inf
@@ -90,7 +90,7 @@ def room_ahead(points: Sequence[Point], keep_m: float) -> float:
     """Return how far a body may drive straight on until its centre is within `keep_m` of a point.
 
     Returns:
-        A distance in metres; 0 where a point ahead is as near already, infinity where the way is free.
+        A distance in metres; 0 if a point ahead is that near already, infinity if the way is free.
     """
     room = math.inf
     for x, y in points:
@@ -100,7 +100,7 @@ def room_ahead(points: Sequence[Point], keep_m: float) -> float:
 
 
 def _sectors(points: Sequence[Point], keep_m: float, reach_m: float) -> list[tuple[float, float]]:
-    """Return the bearings that are shut, each as (middle, half of its width)."""
+    """Return the blocked bearings, each as (middle, half of its width)."""
     sectors = []
     for x, y in points:
         distance = math.hypot(x, y)

@@ -14,17 +14,17 @@ from pancakes.settings import NotNegative
 from pancakes.task import Task, on
 
 CHARGED_ABOVE = 0.02
-"""The battery must rise this far above the threshold before falling below it counts anew."""
+"""The battery must rise this far above the threshold before falling below it counts again."""
 
 
 class BatteryWatchdog(Task):
-    """Slow other tasks down, by control packets, when the battery falls below a level. Event: `saving_power`."""
+    """Slow down other tasks with control packets when the battery falls below a level. Event: `saving_power`."""
 
     requires = ("battery",)
 
     @dataclass
     class Settings:
-        """When, and what.
+        """At which level to slow down which tasks.
 
         Attributes:
             below: the level, as a share of the battery's range.
@@ -36,7 +36,7 @@ class BatteryWatchdog(Task):
 
     @dataclass
     class State:
-        """What outlives a restart.
+        """The state that outlives a restart.
 
         Attributes:
             saving: whether the battery has fallen below the level, and the tasks were slowed down.

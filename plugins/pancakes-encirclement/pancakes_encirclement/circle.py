@@ -52,7 +52,7 @@ def curvature(
 def spaced_speed(
     gap_behind_rad: float | None, robots: int, radius_m: float, speed_mps: float, gain_per_s: float = 1.0
 ) -> float:
-    """Return the speed at which robots on one circle come to stand evenly apart.
+    """Return the speed with which robots spread evenly on a circle.
 
         v = clip(v_max + k (2 pi R / n - R gap), -v_max, v_max)
 
@@ -60,7 +60,7 @@ def spaced_speed(
     goes at full speed. On a circle that is taken clockwise the follower is the next robot counter-clockwise.
 
     Args:
-        gap_behind_rad: angle to the next robot counter-clockwise, in [0, 2 pi); None where there is none.
+        gap_behind_rad: angle to the next robot counter-clockwise, in [0, 2 pi); None if there is none.
         robots: how many robots are on the circle, this one included.
         radius_m: the radius of the circle.
         speed_mps: v_max.
@@ -77,7 +77,7 @@ def gap_behind(position_m: Point, centre_m: Point, others_m: Iterable[Point]) ->
     """Return the angle from a robot to the next one counter-clockwise around the centre, in [0, 2 pi).
 
     Returns:
-        None where there is no other robot.
+        None if there is no other robot.
     """
     own = math.atan2(position_m[1] - centre_m[1], position_m[0] - centre_m[0])
     gaps = [(math.atan2(y - centre_m[1], x - centre_m[0]) - own) % (2.0 * math.pi) for x, y in others_m]

@@ -43,7 +43,7 @@ def _draw_energy(out: Path, runs: Mapping[str, Run], summary: Mapping[str, Any])
 
 ENCIRCLEMENT: Final = Demo(
     name="encirclement",
-    title="the experiment of the paper: two Khepera III circle a sensor node, and hand that over",
+    title="the experiment of the paper: two Khepera III circle a sensor node, and hand the task over",
     agents=AGENTS,
     configs=CONFIGS / "encirclement",
     duration_s=300.0,
@@ -65,7 +65,7 @@ PIONEER: Final = Demo(
     circled="sensor",
     radius_m=1.2,
 )
-"""The encirclement on other robots, by configuration alone."""
+"""The encirclement on other robots, only by configuration."""
 
 INTRUDER: Final = Demo(
     name="intruder",

@@ -1,4 +1,4 @@
-"""What all tasks that drive a robot have in common: the sensors round its body."""
+"""The base of all tasks that drive a robot: they read the sensors round its body."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from pancakes_encirclement.steering import Steering
 
 
 class DrivingTask(Task):
-    """The base of tasks that drive, and steer round what infrared and sonar see.
+    """The base of tasks that drive, and steer round what infrared and sonar sensors see.
 
-    A robot needs neither ring of sensors: one without drives by the law alone.
+    A robot needs neither ring of sensors: without them only the law steers it.
     """
 
     requires = ("pose", "motors")

@@ -21,12 +21,12 @@ KINDS: Final = ("motion", "sensing", "listening", "sending", "idle")
 SETTLING_S: Final = 30.0
 """The distance from the circle counts from this long after the robot first came to it."""
 ARRIVED_SHARE: Final = 0.1
-"""The robot has come to the circle where it is this near to it, as a share of its radius."""
+"""The robot has reached the circle if it is this near to it, as a share of its radius."""
 
 
 @dataclass(frozen=True, slots=True)
 class Drain:
-    """What a battery has given up to one moment, by kind, in joules."""
+    """The energy that a battery has given so far, by kind, in joules."""
 
     t_s: float
     energy_j: Mapping[str, float]
@@ -37,12 +37,12 @@ class Endurance:
     """One run of the mission.
 
     Attributes:
-        lasted_s: when the battery was empty, or the mission over.
-        empty: whether it was the battery.
+        lasted_s: when the battery was empty or the mission ended.
+        empty: whether the battery was empty.
         levels: (time, level of the battery from 0 to 1).
-        off_m: (time, distance from the circle round where the target really was), while it lasted, from `settled_s` on.
+        off_m: (time, distance from the circle round the target's true position), while it lasted, from `settled_s` on.
         laps: how often the robot went round the target, while it lasted.
-        drains: what the battery gave.
+        drains: the energy that the battery gave.
     """
 
     lasted_s: float
@@ -74,7 +74,7 @@ class Endurance:
 
 
 def read_endurance(run: Run) -> Endurance:
-    """Read it from what a mission left behind.
+    """Read the endurance from the files of a mission.
 
     Raises:
         PancakesError: its files or its configurations cannot be read.
@@ -88,7 +88,7 @@ def read_endurance(run: Run) -> Endurance:
 
 
 def endurance(record: Record, scenario: Scenario, robot: str, drains: Sequence[Drain], ended_s: float) -> Endurance:
-    """Works it out; see `read_endurance`."""
+    """Compute the endurance; see `read_endurance`."""
     path = record.paths.get(robot, [])
     full_v, empty_v = scenario.battery_v[robot]
     levels = [(row.t_s, (row.battery_v - empty_v) / (full_v - empty_v)) for row in path if row.battery_v is not None]
@@ -136,4 +136,4 @@ def _drain(path: Path, number: int, cells: Mapping[str, Any]) -> tuple[str, Drai
         energy_j = {kind: float(cells[f"{kind}_j"]) for kind in KINDS}
         return cells["name"], Drain(float(cells["t_s"]), energy_j)
     except (KeyError, TypeError, ValueError) as error:
-        raise PancakesError(f"{path}: row {number} is no row of a consumption: {error}") from None
+        raise PancakesError(f"{path}: row {number} is not a row of a consumption: {error}") from None

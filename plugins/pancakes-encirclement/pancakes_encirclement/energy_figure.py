@@ -134,7 +134,7 @@ def _circle(axes: Axes, measured: Mapping[str, Endurance]) -> None:
 
 
 def _budget(axes: Axes, variants: Mapping[str, Any]) -> None:
-    """Draw what each battery was emptied by."""
+    """Draw what drained each battery."""
     places = range(len(variants))
     lefts = [0.0 for _ in variants]
     for kind in KINDS:

@@ -20,12 +20,12 @@ _WIDTHS: Final = (10, 9, 18, 9, 9, 13, 9)
 
 @dataclass(frozen=True, slots=True)
 class EnergyLimits:
-    """What the governed missions must keep to.
+    """The limits of the governed missions.
 
     Attributes:
-        longer: they last at least so many times as long as the plain one.
+        longer: they last at least this many times as long as the plain one.
         off_mean_m: mean distance from the circle round the target.
-        early_s: with feedback, the battery may be empty so long before the wanted end at the most.
+        early_s: with feedback, how long before the wanted end the battery may be empty.
         left: with feedback, at most this share of the battery is left over at the wanted end, above the reserve.
     """
 
@@ -36,7 +36,7 @@ class EnergyLimits:
 
 
 def judge_mission(run: Run) -> dict[str, Any]:
-    """Judge one mission by itself: it must not break off, and nothing may be run into.
+    """Judge one mission by itself: it must not break off, and have no collision.
 
     Raises:
         PancakesError: its files or its configurations cannot be read.
@@ -71,7 +71,7 @@ def judge_mission(run: Run) -> dict[str, Any]:
 
 
 def _feedback(run: Run) -> dict[str, Any]:
-    """Return the governor's policy, and what it is told to reach; empty where none runs."""
+    """Return the governor's policy and goal; empty if none runs."""
     for config in run.configs.values():
         for task in config["tasks"].values():
             if task["type"] == GOVERNOR and task["start"]:
@@ -97,14 +97,14 @@ def judge_energy(
     Args:
         out: the folder with all results.
         runs: the missions, the plain one first.
-        summaries: what `judge_mission` said of each.
-        limits: what they must keep to.
+        summaries: the result of `judge_mission` for each.
+        limits: the limits.
     """
     plain = summaries[PLAIN]
     variants = {name: _compared(summary, plain) for name, summary in summaries.items()}
     reasons = [f"{name}: {reason}" for name, summary in summaries.items() for reason in summary["reasons"]]
     if not plain["empty"]:
-        reasons.append("without a governor the battery outlasts the mission, so that there is nothing to compare")
+        reasons.append("without a governor the battery outlasts the mission, so there is nothing to compare")
     for name, summary in summaries.items():
         if name != PLAIN and plain["empty"]:
             reasons += [f"{name}: {reason}" for reason in _reasons(summary, variants[name], limits)]

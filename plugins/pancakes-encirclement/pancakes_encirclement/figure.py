@@ -73,7 +73,7 @@ def draw_intruder(run: Run, summary: Mapping[str, Any]) -> None:
 
 
 def draw_rescue(run: Run, summary: Mapping[str, Any]) -> None:
-    """Draw a mission in which the robot that circles is killed, and comes back; see `draw_encirclement`."""
+    """Draw a mission in which the circling robot is killed and comes back; see `draw_encirclement`."""
     end_s, old = run.ended_s, summary["lost"]
     lost_s = min(summary["lost_s"] if summary["lost_s"] is not None else end_s, end_s)
     returned_s = min(summary["returned_s"] if summary["returned_s"] is not None else end_s, end_s)
@@ -161,7 +161,7 @@ def _map(
 
 
 def _path(axes: Axes, path: Sequence[Row], from_s: float, to_s: float, index: int) -> None:
-    """Draw a robot's way: its home, its line with directions, and where it is at the end."""
+    """Draw a robot's path: its home, its line with directions, and where it is at the end."""
     colour, marker = COLOURS[index % len(COLOURS)], _MARKERS[index % len(_MARKERS)]
     axes.plot(path[0].x_m, path[0].y_m, "+", ms=8, mew=1.2, color=colour, zorder=2)
     part = _between(path, from_s, to_s)
@@ -257,7 +257,7 @@ def _gantt(
 
 
 def _loss(gantt: Axes, maps: Sequence[Axes], summary: Mapping[str, Any], record: Record, end_s: float) -> None:
-    """Marks where and when a robot was killed, and for how long its agent was away."""
+    """Mark where and when a robot was killed, and for how long its agent was away."""
     lost_s, old = summary["lost_s"], summary["lost"]
     if lost_s is None:
         return

@@ -14,19 +14,19 @@ from pancakes_encirclement.driving import DrivingTask
 from pancakes_encirclement.homing import Homing
 
 LEAVE_FACTOR = 3.0
-"""A robot that is parked drives again where it is farther from home than this many times the tolerance."""
+"""A parked robot drives again if it is farther from home than this many times the tolerance."""
 
 
 class GoHome(DrivingTask):
-    """Drive to the robot's home and holds it there. Event: `parked`."""
+    """Drive to the robot's home, and stay there. Event: `parked`."""
 
     @dataclass
     class Settings(DrivingTask.Settings):
         """Where home is, and how to get there.
 
         Attributes:
-            home_m: the home station, (x, y) in the frame of the world. It must be told: a task that starts when
-                the robot is already under way cannot know where it came from.
+            home_m: the home station, (x, y) in the frame of the world. It must be set: a task that starts while the
+                robot drives cannot know where it came from.
             tolerance_m: how near is home.
             homing: how it drives.
         """
@@ -40,7 +40,7 @@ class GoHome(DrivingTask):
 
     @on(SYSTEM, Pose, keep="latest")
     def steer(self, packet: Packet) -> None:
-        """Drive on, from where the robot is now."""
+        """Drive on from the robot's present pose."""
         if not self.is_own(packet):
             return
         pose: Pose = packet.body

@@ -1,4 +1,4 @@
-"""Which agents ran a task, and when: from what the agents said, and from what the wheels did."""
+"""Which agents ran a task, and when: by the agents' events and by the robots' wheels."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pancakes.tools.demo.mission_record import Holder
 from pancakes_encirclement.record import Row
 
 _CLOCKS_AGREE_S = 0.05
-"""How well the agents' mission clocks agree: they begin by a packet, each on its own."""
+"""How well the agents' mission clocks agree: each begins with a packet."""
 
 
 def driven(path: Sequence[Row], task: str) -> list[Row]:
@@ -23,7 +23,7 @@ def gap_s(paths: Mapping[str, list[Row]], task: str, old: str, new: str) -> floa
     """Return the time from the old holder's last motor command that the wheels followed to the new one's first.
 
     Returns:
-        Seconds, to the precision of the trajectory's rows; None where one of them never drove.
+        Seconds, to the precision of the trajectory's rows; None if one of them never drove.
     """
     before, after = driven(paths.get(old, ()), task), driven(paths.get(new, ()), task)
     if not before or not after:
@@ -32,7 +32,7 @@ def gap_s(paths: Mapping[str, list[Row]], task: str, old: str, new: str) -> floa
 
 
 def overlap_s(paths: Mapping[str, list[Row]], robots: Sequence[str], task: str, held: Sequence[Holder]) -> float:
-    """Return for how long two agents ran a task at once: as their wheels show it, or as they said, the longer."""
+    """Return for how long two agents ran a task at once: by their wheels or by their events, the longer time."""
     count: dict[float, int] = {}
     for robot in robots:
         for row in driven(paths.get(robot, ()), task):
@@ -65,11 +65,11 @@ def radius_error(
         path: where it was, while it held the task.
         centre_m: the centre of the circle.
         radius_m: its radius.
-        arrived_share: it arrives where its distance from the centre is first within this share of the radius.
-        settling_s: only the time from this long after that on counts.
+        arrived_share: it arrives when its distance from the centre is first within this share of the radius.
+        settling_s: only the time from this long after its arrival counts.
 
     Returns:
-        The errors; None where it never arrived, or had no time left to settle.
+        The errors; None if it never arrived, or had no time left to settle.
     """
     arrived_s = math.inf
     errors = []

@@ -15,8 +15,8 @@ class Homing:
 
     Attributes:
         speed_mps: its speed far from the goal.
-        turn_radps: the most that it turns by.
-        cone_rad: it drives only where the goal lies within this of its heading; else it turns on the spot.
+        turn_radps: its highest turning rate.
+        cone_rad: it drives only if the goal lies within this of its heading; otherwise it turns on the spot.
         gain_per_s: speed for each metre still to go, and turning rate for each radian still to turn.
     """
 

@@ -17,13 +17,13 @@ from pancakes_encirclement.verdict import SETTLING_S, common_reasons, finish, fi
 
 @dataclass(frozen=True, slots=True)
 class IntruderLimits:
-    """What a mission must keep to.
+    """The limits of a mission.
 
     Attributes:
         start_s: time from the first report of motion to the start of the task.
         moves: how often the circle must follow, at least.
-        error_m: mean distance from the circle around where the intruder really is.
-        centre_m: mean distance of the circle's centre from there.
+        error_m: mean distance from the circle around the intruder's true position.
+        centre_m: mean distance of the circle's centre from that position.
         revolutions: how often the robot must go round, at least.
     """
 
@@ -39,10 +39,10 @@ def judge_intruder(run: Run, limits: IntruderLimits = IntruderLimits()) -> dict[
 
     Args:
         run: the mission; it left `trajectory.csv` and `events.jsonl`.
-        limits: what it must keep to.
+        limits: its limits.
 
     Returns:
-        What belongs into `summary.json`.
+        The contents of `summary.json`.
 
     Raises:
         PancakesError: the files or the configurations cannot be read.
@@ -51,7 +51,7 @@ def judge_intruder(run: Run, limits: IntruderLimits = IntruderLimits()) -> dict[
 
 
 def judge(record: Record, scenario: Scenario, run: Run, limits: IntruderLimits) -> dict[str, Any]:
-    """Judge what has been read; see `judge_intruder`."""
+    """Judge the files that were read; see `judge_intruder`."""
     held = holders(record, scenario.scan, run.ended_s)
     detected_s = first_time(record, "motion_detected")
     robot = held[0].agent if held else scenario.first
@@ -82,7 +82,7 @@ def judge(record: Record, scenario: Scenario, run: Run, limits: IntruderLimits) 
 def _following(
     record: Record, scenario: Scenario, robot: str, centres: list[tuple[float, tuple[float, float]]], from_s: float
 ) -> dict[str, Any]:
-    """Compare the robot, and the centre that it had at each moment, with where the intruder really was."""
+    """Compare the robot, and its centre at each moment, with the intruder's true position."""
     walk = {row.t_s: (row.x_m, row.y_m) for mover in scenario.movers[:1] for row in record.paths.get(mover, ())}
     errors, offsets = [], []
     index = 0

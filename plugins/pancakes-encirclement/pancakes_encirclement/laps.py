@@ -1,4 +1,4 @@
-"""Counting how often a robot has gone round a point."""
+"""Count how often a robot has gone round a point."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pancakes_encirclement.angles import wrap
 from pancakes_encirclement.circle import Point
 
 ON_CIRCLE_SHARE = 0.1
-"""A robot is on the circle where its distance from the centre is within this share of the radius."""
+"""A robot is on the circle if its distance from the centre is within this share of the radius."""
 
 
 def on_circle(position_m: Point, centre_m: Point, radius_m: float) -> bool:
@@ -18,13 +18,13 @@ def on_circle(position_m: Point, centre_m: Point, radius_m: float) -> bool:
 
 
 class Laps:
-    """Sum the angle that a robot sweeps round a centre, clockwise, in revolutions.
+    """Sum the angle that a robot sweeps clockwise round a centre, in revolutions.
 
-    The way back is taken off again, but never from a revolution that is complete: poses have noise, and a robot that
-    stands still at the end of a revolution completes it once.
+    Motion the other way is subtracted, but never from a complete revolution: poses have noise, and a robot that stands
+    still at the end of a revolution completes it only once.
 
     Args:
-        revolutions: what was counted before, on this robot or on another.
+        revolutions: the earlier count, from this robot or another.
     """
 
     def __init__(self, revolutions: float = 0.0) -> None:
@@ -34,11 +34,11 @@ class Laps:
 
     @property
     def revolutions(self) -> float:
-        """What was swept, and at least the revolutions that are complete."""
+        """The revolutions swept, at least the complete ones."""
         return max(self._swept, float(self._complete))
 
     def recentred(self) -> None:
-        """The centre has moved: the next position begins a new arc, and adds nothing by itself."""
+        """Begin a new arc with the next position, because the centre has moved."""
         self._bearing_rad = None
 
     def passed(self, position_m: Point, centre_m: Point) -> bool:

@@ -1,4 +1,4 @@
-"""What a robot remembers of what its rings of sensors saw.
+"""The memory of what a robot's rings of sensors saw.
 
 A ring of thin beams shows only bits of a body at a time, and none between two beams. A robot that remembers a
 few seconds of it, in the frame of the world, has the whole outline by the time it gets near.
@@ -15,15 +15,15 @@ from pancakes.devices import Pose
 Point = tuple[float, float]
 
 SEEN_SHARE = 0.95
-"""A reading above this share of the sensor's range is taken for `nothing there`: it drowns in noise."""
+"""A reading above this share of the sensor's range means `nothing there`: it drowns in noise."""
 MERGE_M = 0.03
-"""Two echoes as near as this are one."""
+"""Two echoes that are nearer than this are one."""
 BEAM_RAD = math.radians(6.0)
-"""Half of a beam's width, as far as a beam that reaches on says that nothing stands in it."""
+"""Half of the width in which a beam proves that nothing is there."""
 _BEAM_SLOPE = math.tan(BEAM_RAD)
 _BEAM_EDGE = 1.001 / math.cos(BEAM_RAD)  # how much longer its edge is than its middle, and a little for rounding
 THROUGH_M = 0.08
-"""A beam must reach this far past an echo before the echo is taken to have gone away."""
+"""A beam must reach this far past an echo before the echo counts as gone."""
 
 
 @dataclass(slots=True)
@@ -34,12 +34,12 @@ class _Echo:
 
 
 class LocalMap:
-    """Echo of the last seconds, forgotten when they grow old or when a beam passes through where they were.
+    """Echoes of the last seconds, forgotten when they are old or when a beam passes through their place.
 
     Args:
         body_radius_m: radius of the robot's body, on whose edge the sensors sit.
         reach_m: echoes farther than this from the body's centre are not kept.
-        memory_s: how long an echo is kept unseen.
+        memory_s: how long an echo is kept without being seen again.
     """
 
     def __init__(self, body_radius_m: float, reach_m: float, memory_s: float) -> None:
@@ -72,7 +72,7 @@ class LocalMap:
         return any(math.hypot(echo.x_m - pose.x_m, echo.y_m - pose.y_m) < reach_m for echo in self._echoes)
 
     def around(self, pose: Pose, now_s: float) -> list[Point]:
-        """Return the echoes in the frame of a body that stands at `pose`: x ahead, y to the left, in metres."""
+        """Return the echoes in the frame of a body at `pose`: x ahead, y to the left, in metres."""
         if not self._echoes:
             return []
         oldest_s = now_s - self._memory_s
@@ -92,7 +92,7 @@ class LocalMap:
         self._echoes.append(_Echo(x_m, y_m, now_s))
 
     def _clear(self, pose: Pose, bearing_rad: float, free_m: float) -> None:
-        """Forget what stood in a beam that has just reached `free_m` from the body's centre, and farther."""
+        """Forget the echoes in a beam that has just reached at least `free_m` from the body's centre."""
         direction = pose.theta_rad + bearing_rad
         cos, sin = math.cos(direction), math.sin(direction)
         x_m, y_m, radius_m = pose.x_m, pose.y_m, self._body_radius_m

@@ -16,7 +16,7 @@ def place_of(motion: Motion, pose: Pose) -> tuple[float, float] | None:
     """Return where in the world a motion sensor at `pose` sees something move.
 
     Returns:
-        None where the sensor cannot tell.
+        None if the sensor cannot measure it.
     """
     if motion.bearing_rad is None or motion.range_m is None:
         return None
@@ -25,11 +25,11 @@ def place_of(motion: Motion, pose: Pose) -> tuple[float, float] | None:
 
 
 QUIET_S = 10.0
-"""After so long without any motion, new motion is news."""
+"""After this time without motion, new motion is an event."""
 
 
 class MotionDetection(Task):
-    """Send a place to the neighbours when the motion sensor senses something: its own, as in the paper.
+    """Send the sensor's place to the neighbours when it senses motion, as in the paper.
 
     Event: `motion_detected`, when motion begins; not for each report.
     """
@@ -42,7 +42,7 @@ class MotionDetection(Task):
 
         Attributes:
             period_s: at most one report in this time.
-            locate: send the place of what moves, as the sensor tells it, instead of the sensor's own.
+            locate: send the measured place of the motion instead of the sensor's own.
         """
 
         period_s: NotNegative = 2.0
@@ -57,7 +57,7 @@ class MotionDetection(Task):
 
     @on(SYSTEM, Pose, keep="latest")
     def moved(self, packet: Packet) -> None:
-        """Remember where the sensor stands."""
+        """Remember where the sensor is."""
         if agent_of(packet.source) == self.agent:
             self._pose = packet.body
 

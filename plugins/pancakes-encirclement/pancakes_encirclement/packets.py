@@ -1,4 +1,4 @@
-"""What the tasks of the encirclement say to each other, from agent to agent."""
+"""The packets between the tasks of the encirclement."""
 
 from __future__ import annotations
 

@@ -9,7 +9,7 @@ from pancakes_encirclement.packets import NeighbourPose
 
 
 class PoseSharing(Task):
-    """Publish the robot's own pose to its neighbours, five times a second or as it is rescheduled."""
+    """Publish the robot's own pose to its neighbours, five times a second unless it is rescheduled."""
 
     requires = ("pose",)
     _pose: Pose | None = None

@@ -1,4 +1,4 @@
-"""What a mission leaves behind, read back: the world's own truth, and the events that the agents told."""
+"""Read the files of a mission: the truth of the world, and the events of the agents."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def read_record(out_dir: Path) -> Record:
     """Read `trajectory.csv` and `events.jsonl` of a mission.
 
     Raises:
-        PancakesError: one of them is missing, or is not what it should be; it names the line.
+        PancakesError: one of them is missing, or is not valid; the message names the line.
     """
     return Record(paths=_read_paths(out_dir / "trajectory.csv"), events=read_events(out_dir))
 
@@ -62,5 +62,5 @@ def _read_paths(path: Path) -> dict[str, list[Row]]:
             )
             paths.setdefault(cells["name"], []).append(row)
         except (KeyError, TypeError, ValueError) as error:
-            raise PancakesError(f"{path}: row {number} is no row of a trajectory: {error}") from None
+            raise PancakesError(f"{path}: row {number} is not a row of a trajectory: {error}") from None
     return paths

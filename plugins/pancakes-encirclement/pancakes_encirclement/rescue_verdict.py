@@ -1,4 +1,4 @@
-"""The verdict on the mission in which the robot that circles is killed: a guarded task outlives its agent."""
+"""The verdict on the mission in which the circling robot is killed: a guarded task outlives its agent."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from pancakes_encirclement.scenario import Scenario, read_scenario
 from pancakes_encirclement.verdict import common_reasons, finish, first_time, mishaps, named, place, revolutions
 
 SECTORS = 36
-"""The circle is looked at in so many parts."""
+"""The circle is divided into this many parts."""
 
 
 @dataclass(frozen=True, slots=True)
 class RescueLimits:
-    """What a mission must keep to.
+    """The limits of a mission.
 
     Attributes:
         after_lease_s: time from the loss to the first command of the copy, beyond the lease, in host seconds.
-        centre_error_m: distance of the centre that the copy goes on with from the sensor node.
-        late_s: so much older than `checkpoint_s` the checkpoint may be that the copy goes on from, in host seconds.
-        ring_share: a part of the circle is covered where a robot passes it within this share of the radius; it steers
+        centre_error_m: distance of the copy's centre from the sensor node.
+        late_s: how much older than `checkpoint_s` the copy's checkpoint may be, in host seconds.
+        ring_share: a part of the circle is covered if a robot passes it within this share of the radius; it steers
             round the robot that stands there.
         covered: the share of the circle that is covered in the end.
     """
@@ -44,7 +44,7 @@ class GuardedScan:
 
     Attributes:
         lease_s: how long a lease is.
-        checkpoint_s: how often the task is written down.
+        checkpoint_s: how often the task is written to disk.
         speed: mission seconds for each host second, in which leases are counted.
     """
 
@@ -54,14 +54,14 @@ class GuardedScan:
 
 
 def judge_rescue(run: Run, limits: RescueLimits = RescueLimits()) -> dict[str, Any]:
-    """Judge the mission in which the agent with `ScanTarget` is killed, and comes back.
+    """Judge the mission in which the agent with `ScanTarget` is killed and comes back.
 
     Args:
         run: the mission; it left `trajectory.csv` and `events.jsonl`.
-        limits: what it must keep to.
+        limits: its limits.
 
     Returns:
-        What belongs into `summary.json`.
+        The contents of `summary.json`.
 
     Raises:
         PancakesError: the files or the configurations cannot be read.
@@ -71,14 +71,14 @@ def judge_rescue(run: Run, limits: RescueLimits = RescueLimits()) -> dict[str, A
 
 
 def read_guard(configs: Mapping[str, Mapping[str, Any]], scenario: Scenario) -> GuardedScan:
-    """Read how the task that goes round is guarded out of the configurations of all agents."""
+    """Read from the configurations how the circling task is guarded."""
     first = configs[scenario.first]
     task, speed = first["tasks"][scenario.scan], float(first.get("clock", {}).get("speed", 1.0))
     return GuardedScan(float(task["lease_s"]) * speed, float(task["checkpoint_s"]) * speed, speed)
 
 
 def judge(record: Record, scenario: Scenario, guard: GuardedScan, run: Run, limits: RescueLimits) -> dict[str, Any]:
-    """Judge what has been read; see `judge_rescue`."""
+    """Judge the files that were read; see `judge_rescue`."""
     scan, old = scenario.scan, scenario.first
     held = holders(record, scan, run.ended_s)
     lost_s, returned_s = first_time(record, "agent_lost"), first_time(record, "agent_returned")
@@ -190,7 +190,7 @@ def _taking_reasons(summary: Mapping[str, Any], scenario: Scenario) -> list[str]
 
 
 def _state_reasons(record: Record, summary: Mapping[str, Any], guard: GuardedScan, limits: RescueLimits) -> list[str]:
-    """Look whether the copy went on from a checkpoint that was no older than it may be."""
+    """Check that the copy continued from a checkpoint that was not too old."""
     old, new, state, circle = summary["lost"], summary["taken_by"], summary["state_taken"], summary["circle"]
     if not new:
         return []

@@ -15,7 +15,7 @@ from pancakes_encirclement.laps import Laps, on_circle
 from pancakes_encirclement.packets import MotionDetected, NeighbourPose
 
 NEW_CENTRE_M = 0.10
-"""A report makes a new centre only where it lies farther than this from the present one."""
+"""A report makes a new centre only if it is farther than this from the present one."""
 FRESH_S = 3.0
 """A neighbour's pose older than this says nothing about where it is now."""
 
@@ -23,8 +23,8 @@ FRESH_S = 3.0
 class ScanTarget(DrivingTask):
     """Drive on a circle, clockwise, around the place of the last report of motion.
 
-    Until there was a report it stands still. It shares the circle evenly with neighbours that are on it too and
-    tell their poses. Events: `new_centre`, `on_circle` (once on each host), `revolution`.
+    It stands still until the first report. It shares the circle evenly with neighbours that are on it too and send
+    their poses. Events: `new_centre`, `on_circle` (once on each host), `revolution`.
     """
 
     offers = ("centre_m",)
@@ -37,7 +37,7 @@ class ScanTarget(DrivingTask):
             radius_m: radius of the circle.
             speed_mps: speed on it.
             alpha_per_m: how strongly the robot is drawn to it.
-            centre_m: where to begin with, before any report; none: it waits for one.
+            centre_m: the first centre, before any report; none: it waits for one.
         """
 
         radius_m: Positive = 0.55
@@ -47,7 +47,7 @@ class ScanTarget(DrivingTask):
 
     @dataclass
     class State:
-        """What moves with the task.
+        """The state that migrates with the task.
 
         Attributes:
             centre_m: the place it goes round.
@@ -70,7 +70,7 @@ class ScanTarget(DrivingTask):
 
     @on(SYSTEM, MotionDetected)
     def target_seen(self, packet: Packet) -> None:
-        """Take the place of a report for the new centre, if it is a new place."""
+        """Take the place of a report as the new centre, if it is a new place."""
         place = (packet.body.x_m, packet.body.y_m)
         if self.state.centre_m is not None and math.dist(place, self.state.centre_m) <= NEW_CENTRE_M:
             return
@@ -85,7 +85,7 @@ class ScanTarget(DrivingTask):
 
     @on(SYSTEM, Pose, keep="latest")
     def steer(self, packet: Packet) -> None:
-        """Drive on, from where the robot is now."""
+        """Drive on from the robot's present pose."""
         if not self.is_own(packet):
             return
         pose: Pose = packet.body
@@ -114,7 +114,7 @@ class ScanTarget(DrivingTask):
     def _speed(self, position: Point, centre: Point) -> float:
         """Return the speed that keeps the robots on the circle apart.
 
-        Never backwards: the law of curvature leads to the circle forwards, and away from it backwards.
+        Never backwards: the curvature law leads to the circle forwards, and away from it backwards.
         """
         radius = self.settings.radius_m
         oldest_s = self.now() - FRESH_S

@@ -1,4 +1,4 @@
-"""What a mission was meant to be: the part of its configurations that a verdict and a figure need."""
+"""The scenario of a mission: the part of its configurations that a verdict and a figure need."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ class Scenario:
         robots: all robots, by the world's order.
         sensor: the sensor node.
         movers: the persons that walk through the arena.
-        scan: the name of the task that goes round.
-        home: the name of the task that goes home; empty where there is none.
+        scan: the name of the circling task.
+        home: the name of the task that goes home; empty if there is none.
         radius_m: the radius of the circle.
         half_width_m: the arena reaches from minus this to this along x.
         half_height_m: the same along y.
@@ -49,15 +49,15 @@ class Scenario:
 
     @property
     def second(self) -> str:
-        """The robot in reserve; empty where there is none."""
+        """The robot in reserve; empty if there is none."""
         return next((robot for robot in self.robots if robot != self.first), "")
 
 
 def read_scenario(configs: Mapping[str, Table]) -> Scenario:
-    """Read it out of the configurations of all agents.
+    """Read the scenario from the configurations of all agents.
 
     Args:
-        configs: the agents' configurations, overrides included, by the agent's name; see
+        configs: the agents' configurations, including overrides, by the agent's name; see
             `pancakes.tools.demo.Run.configs`.
 
     Raises:

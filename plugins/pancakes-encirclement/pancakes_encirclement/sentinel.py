@@ -14,10 +14,10 @@ ENDINGS = ("task_stopped", "task_given_up")
 
 
 class Sentinel(Task):
-    """Start a task of its own agent, by a control packet, at the first report of motion.
+    """Start a task of its own agent with a control packet at the first report of motion.
 
-    The task begins at the place of that report, which is set as its `centre_m`. Where it has ended, the next
-    report starts it again. Event: `alarm`.
+    The place of that report is set as the task's `centre_m`. If the task has ended, the next report starts it again.
+    Event: `alarm`.
     """
 
     @dataclass
@@ -47,7 +47,7 @@ class Sentinel(Task):
 
     @on(SYSCTRL, Reply, addressed=True)
     def answered(self, packet: Packet) -> None:
-        """Learn whether the task was started."""
+        """Take the reply: whether the task was started."""
         if packet.cause is None or packet.cause[1] != self._asked:
             return
         self._asked = None
@@ -57,7 +57,7 @@ class Sentinel(Task):
 
     @on(LOG, Event)
     def happened(self, packet: Packet) -> None:
-        """Learn that the task has ended."""
+        """Note that the task has ended."""
         event: Event = packet.body
         if event.kind in ENDINGS and agent_of(packet.source) == self.agent:
             if event.fields.get("task") == self.settings.target.rpartition("/")[2]:

@@ -1,4 +1,4 @@
-"""A robot's steering: what a law wants, and what the robot sees, made one twist.
+"""A robot's steering: combine what a law wants and what the robot sees into one twist.
 
 `Steering` is a state machine without packets or clocks: poses, sweeps and times go in, twists come out.
 """
@@ -15,13 +15,13 @@ from pancakes_encirclement.homing import Homing
 from pancakes_encirclement.local_map import LocalMap
 
 _TIGHTER = (1.0, 0.5, 0.2)
-"""Shares of the wanted clearance that a robot tries in turn, where it finds no way."""
+"""Shares of the wanted clearance that a robot tries in turn if it finds no way."""
 _STOP_SHARE = 0.3
 """The share of the clearance that a robot never drives into."""
 _SLOWEST_SHARE = 0.2
-"""The share of its speed that a robot keeps however far its way leads from where it would like to go."""
+"""The share of its speed that a robot keeps even if its way leads far from the wanted direction."""
 _WORTH_WAITING_RAD = 0.2
-"""A way round that leads farther off than this is worth waiting for a free one."""
+"""If a way round deviates more than this, the robot first waits for a free one."""
 
 _Points = list[tuple[float, float]]
 
@@ -43,7 +43,7 @@ class Steering:
         self._blocked_since_s: float | None = None
 
     def sweep(self, bearings_rad: Sequence[float], ranges_m: Sequence[float], max_range_m: float, now_s: float) -> None:
-        """Take a sweep of a ring of sensors; without a pose yet, it says nothing about the world."""
+        """Take a sweep of a ring of sensors; without a pose it is ignored."""
         if self._pose is not None:
             self._map.sweep(self._pose, bearings_rad, ranges_m, max_range_m, now_s)
 
@@ -52,10 +52,10 @@ class Steering:
         self._pose = pose
 
     def follow(self, wanted: Twist, now_s: float) -> Twist:
-        """Return the wanted twist where its way is free.
+        """Return the wanted twist if its way is free.
 
-        Elsewhere the robot waits a while for what may move on by itself, such as another robot that leaves the
-        circle, and then takes a way round. Robots that did not wait would push each other off the circle.
+        Otherwise the robot first waits a while for an obstacle that may move away, such as another robot that leaves
+        the circle, and then takes a way round. Robots that did not wait would push each other off the circle.
         """
         points = self._points(now_s)
         # The chord of the arc, as far ahead as the robot looks, is the direction that the law wants to take.
@@ -73,7 +73,7 @@ class Steering:
         return self._detour(points, chord, bearing, math.inf, Homing(wanted.v_mps, self._avoidance.turn_radps))
 
     def drive_to(self, bearing_rad: float, distance_m: float, homing: Homing, now_s: float) -> Twist:
-        """Return the twist that brings the robot to a goal, round what stands between.
+        """Return the twist that brings the robot to a goal, round obstacles.
 
         Args:
             bearing_rad: direction of the goal in the frame of the body.
@@ -87,7 +87,7 @@ class Steering:
             self._side = 0
             return self._slowed(homing.towards(bearing_rad, distance_m), points)
         bearing = self._way_round(points, bearing_rad, reach)
-        if bearing is None:  # shut in: it waits, and what moves will move on
+        if bearing is None:  # no free bearing: it waits until obstacles move
             return Twist(0.0, 0.0)
         return self._detour(points, bearing_rad, bearing, distance_m, homing)
 
@@ -111,7 +111,7 @@ class Steering:
         if turn != 0.0:
             self._side = 1 if turn > 0.0 else -1
         twist = homing.towards(bearing_rad, distance_m)
-        # Slower, the farther off: else two robots side by side keep each other from turning for ever.
+        # Slower, the farther off: otherwise two robots side by side would block each other from turning for ever.
         share = max(_SLOWEST_SHARE, 1.0 - abs(turn) / (math.pi / 2))
         return self._slowed(Twist(twist.v_mps * share, twist.omega_radps), points)
 

@@ -20,13 +20,13 @@ SETTLING_S = 30.0
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """What a mission must keep to.
+    """The limits of a mission.
 
     Attributes:
         radius_error_m: mean distance from the circle.
         gap_s: time between the last motor command of the old holder and the first of the new.
         home_error_m: distance from home at the end.
-        centre_error_m: distance of the centre that was handed over from the sensor node.
+        centre_error_m: distance of the migrated centre from the sensor node.
     """
 
     radius_error_m: float = 0.02
@@ -36,14 +36,14 @@ class Limits:
 
 
 def judge_encirclement(run: Run, limits: Limits = Limits()) -> dict[str, Any]:
-    """Judge the mission in which `ScanTarget` moves from the first robot to the second.
+    """Judge the mission in which `ScanTarget` migrates from the first robot to the second.
 
     Args:
         run: the mission; it left `trajectory.csv` and `events.jsonl`.
-        limits: what it must keep to.
+        limits: its limits.
 
     Returns:
-        What belongs into `summary.json`.
+        The contents of `summary.json`.
 
     Raises:
         PancakesError: the files or the configurations cannot be read.
@@ -52,7 +52,7 @@ def judge_encirclement(run: Run, limits: Limits = Limits()) -> dict[str, Any]:
 
 
 def judge(record: Record, scenario: Scenario, run: Run, limits: Limits) -> dict[str, Any]:
-    """Judge what has been read; see `judge_encirclement`."""
+    """Judge the files that were read; see `judge_encirclement`."""
     held = holders(record, scenario.scan, run.ended_s)
     old, new = (held[0].agent, held[1].agent) if len(held) > 1 else (scenario.first, "")
     centre = place(record, scenario.sensor)
@@ -91,7 +91,7 @@ def judge(record: Record, scenario: Scenario, run: Run, limits: Limits) -> dict[
 
 
 def common_reasons(summary: Mapping[str, Any], run: Run) -> list[str]:
-    """Return why no mission of any kind could pass: it broke off, or something was run into."""
+    """Return the reasons that fail a mission of any kind: it broke off, or there were collisions."""
     reasons = [f"the mission broke off: {run.ended_because}"] if run.ended_because else []
     if summary["collisions"]:
         reasons.append(f"there were {summary['collisions']} collisions: {', '.join(summary['collided'])}")
@@ -158,12 +158,12 @@ def _state_reasons(summary: Mapping[str, Any], scenario: Scenario, limits: Limit
 
 
 def finish(summary: dict[str, Any], reasons: list[str]) -> dict[str, Any]:
-    """Return the summary with its verdict in front, and with numbers of a readable length."""
+    """Return the summary with its verdict first, and with rounded numbers."""
     return {"verdict": "FAIL" if reasons else "PASS", "reasons": reasons, **_rounded(summary)}
 
 
 def place(record: Record, name: str) -> tuple[float, float] | None:
-    """Return where a body was at first; None where nothing is known of it."""
+    """Return where a body was at first; None if that is not known."""
     path = record.paths.get(name)
     return (path[0].x_m, path[0].y_m) if path else None
 
@@ -183,12 +183,12 @@ def mishaps(record: Record, scenario: Scenario) -> dict[str, Any]:
 
 
 def revolutions(record: Record) -> dict[str, int]:
-    """Return the last count of revolutions that each agent told."""
+    """Return the last count of revolutions that each agent reported."""
     return {event.agent: int(event.fields["count"]) for event in record.told("revolution")}
 
 
 def first_time(record: Record, kind: str) -> float | None:
-    """Return when an event of this kind was first told; None where never."""
+    """Return when an event of this kind was first reported; None: never."""
     return next((event.t_s for event in record.told(kind)), None)
 
 
@@ -202,7 +202,7 @@ def _home_error(record: Record, agent: str, homes: Mapping[str, tuple[float, flo
 
 
 def named(position: tuple[float, float] | None) -> dict[str, float | None]:
-    """Return a place as it stands in a summary."""
+    """Return a place in the form of a summary."""
     return {"x_m": position[0] if position else None, "y_m": position[1] if position else None}
 
 

@@ -1,7 +1,7 @@
-"""Actuators that others have made and that take commands by MQTT, as drivers.
+"""Drivers of third-party actuators that take commands by MQTT.
 
-A command is good for a moment, so none waits for a broker that is not there, and the broker keeps none. What waits is
-the safe hold alone: a device that could not be told hears it as soon as its broker is back.
+A command is valid only for a moment. So commands do not wait for a missing broker, and are not retained. Only the safe
+hold waits: a device that could not be reached gets it as soon as its broker is back.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ from pancakes_mqtt.topics import fault_of_topic
 
 
 class MqttActuator(Actuator):
-    """An actuator that takes commands by MQTT; a type of one's own is a subclass.
+    """An actuator that takes commands by MQTT; subclass it for another type.
 
     Attributes:
-        kind: what a form calls its commands; empty: no form has such.
+        kind: the name of its commands in a form; empty: no form has any.
     """
 
     kind: ClassVar[str] = ""
@@ -39,11 +39,11 @@ class MqttActuator(Actuator):
         """Where it takes commands.
 
         Attributes:
-            form: which program or firmware the device speaks by; without it, `topic` says where.
-            device: its name there: `lamp`, or with esphome `node/id`.
-            topic: the topic of its commands, where it is another than the form's.
-            holds_after_s: after so long without a command, in seconds, the device goes to its safe hold by itself
-                (its firmware's own time-out); without it, it keeps its last command.
+            form: the program or firmware of the device; without it, `topic` is needed.
+            device: its name in that program: `lamp`, or with esphome `node/id`.
+            topic: the topic of its commands, if not that of the form.
+            holds_after_s: after how long without a command, in seconds, the device goes to its safe hold by itself (its
+                firmware's own time-out); without it, it keeps its last command.
         """
 
         form: FormName = ""
@@ -69,11 +69,11 @@ class MqttActuator(Actuator):
 
     @abstractmethod
     def command_payload(self, command: Any, ttl_s: float) -> bytes:
-        """Return what the device is told."""
+        """Return the payload for a command."""
 
     @abstractmethod
     def hold_payload(self) -> bytes:
-        """Return what the device is told at its safe hold; empty: nothing."""
+        """Return the payload for the safe hold; empty: nothing is sent."""
 
     def open(self) -> None:
         refuse_virtual_time(self.context)
@@ -98,7 +98,7 @@ class MqttActuator(Actuator):
         self._unheard = not heard
 
     def holds_by_itself(self, hold_after_s: float) -> float | None:
-        """The time-out of the firmware, as the settings say it."""
+        """Return the firmware's time-out in the settings."""
         holds_after_s: float | None = self.settings.holds_after_s
         return holds_after_s
 
@@ -119,9 +119,9 @@ class MqttSwitch(MqttActuator):
         """Where it takes commands, and which.
 
         Attributes:
-            on: the payload that switches it on; empty: the form's, or `ON`.
+            on: the payload that switches it on; empty: that of the form, or `ON`.
             off: the payload that switches it off.
-            hold: its safe hold: off, on, or as it is.
+            hold: its safe hold: off, on, or unchanged.
         """
 
         on: str = ""
@@ -151,8 +151,8 @@ class MqttLight(MqttActuator):
         """Where it takes commands, and which.
 
         Attributes:
-            command: without a form, what it is told, with the place `{brightness}`, from 0 to `full`.
-            full: without a form, full brightness.
+            command: without a form, the payload of a command, in which `{brightness}` is filled in, from 0 to `full`.
+            full: without a form, the value for full brightness.
         """
 
         command: str = "{brightness}"
@@ -179,7 +179,7 @@ class MqttMotors(MqttActuator):
         """Where they take commands, and which.
 
         Attributes:
-            command: what they are told, with the places `{v_mps}`, `{omega_radps}` and `{ttl_s}`; the controller should
+            command: the payload, in which `{v_mps}`, `{omega_radps}` and `{ttl_s}` are filled in; the controller should
                 stand still by itself when no other command comes within `ttl_s` seconds.
         """
 
@@ -193,6 +193,6 @@ class MqttMotors(MqttActuator):
         return self.command_payload(Twist(0.0, 0.0), 0.0)
 
     def holds_by_itself(self, hold_after_s: float) -> float | None:
-        """A controller that is told `ttl_s` counts it; else its own time-out, as the settings say it."""
+        """Return the time to live if the controller gets it; otherwise its time-out in the settings."""
         stated = super().holds_by_itself(hold_after_s)
         return hold_after_s if stated is None and "{ttl_s}" in self.settings.command else stated

@@ -12,12 +12,12 @@ PATIENCE_S: Final = 1.0
 
 
 class Arrivals:
-    """A spool with a bell, which rings once for all that waits.
+    """A spool that notifies its reader once for all waiting messages.
 
-    What is promised is never lost here: the thread that brings it waits for room, and the broker with it.
+    Promised messages (QoS 1 and 2) are never lost here: the connection's thread waits for room, and so the broker does.
 
     Args:
-        limit: how many wait at the most.
+        limit: the most messages that wait.
     """
 
     def __init__(self, limit: int) -> None:
@@ -27,7 +27,7 @@ class Arrivals:
         self._closed = False
 
     def put(self, message: Message) -> bool:
-        """Add a message; returns whether the reader is to be told that something waits."""
+        """Add a message; return whether the reader must be notified."""
         while not self._spool.put_patiently(message, PATIENCE_S):
             with self._lock:
                 if self._closed or not message.promised:
@@ -35,7 +35,7 @@ class Arrivals:
         return self.ring()
 
     def ring(self) -> bool:
-        """Return whether the reader is to be told that something waits: it has not been told yet."""
+        """Return whether the reader must be notified: messages wait and it is not notified yet."""
         with self._lock:
             if self._rung or not len(self._spool):
                 return False
@@ -43,21 +43,21 @@ class Arrivals:
             return True
 
     def answered(self) -> None:
-        """The reader has taken all that it found, and is to be told of what comes from now on."""
+        """Note that the reader has taken all messages: it must be notified of the next one."""
         with self._lock:
             self._rung = False
 
     def take(self) -> Message | None:
-        """Take the oldest message; None where none waits."""
+        """Take the oldest message; None if none waits."""
         return self._spool.take()
 
     def close(self) -> None:
-        """Take nothing more."""
+        """Accept no more messages."""
         with self._lock:
             self._closed = True
         self._spool.close()
 
     @property
     def fallen_out(self) -> int:
-        """How many messages that may be lost have fallen out."""
+        """How many messages that may be lost were dropped."""
         return self._spool.fallen_out

@@ -34,26 +34,26 @@ from pancakes_mqtt.payloads import BadPayload
 from pancakes_mqtt.topics import client_id_of, fault_of_topic, filled, means
 
 AT_ONCE: Final = 100
-"""So many messages become packets in one turn."""
+"""How many messages become packets in one turn."""
 AGAIN_S: Final = 0.05
-"""How long, in host time, a packet waits that a reader has had no room for."""
+"""How long, in host time, a packet waits if a reader has no room for it."""
 MOST_PUBLISHERS: Final = 4096
-"""The rates of so many publishers are remembered."""
+"""How many publishers' rates are remembered."""
 
 
 class MqttBridge(Service):
-    """Publish packets as messages, and makes packets of messages, as its tables say."""
+    """Publish packets as messages, and messages as packets, as its tables say."""
 
     @dataclass(kw_only=True)
     class Settings(BrokerSettings):
         """The broker, and the tables.
 
         Attributes:
-            status: the topic on which it says `online` and, also when it is killed, `offline` (retained); `{agent}` is
-                filled in; empty: none.
-            publish: what of which channel becomes messages.
+            status: the topic of its status: `online` or, even after a kill, `offline` (retained); `{agent}` is filled
+                in; empty: none.
+            publish: which packets of which channels become messages.
             take: which messages become packets.
-            report_s: how often, in mission seconds, it says how it fares (`mqtt.traffic` on `system`).
+            report_s: how often, in mission seconds, it reports its counters (`mqtt.traffic` on `system`).
         """
 
         status: str = "pancakes/{agent}/status"
@@ -81,7 +81,7 @@ class MqttBridge(Service):
 
     def on_start(self) -> None:
         if self._actor.kernel.virtual is not None:
-            raise PancakesError(f"{self.address} speaks to a broker, which knows no virtual time: leave it out there")
+            raise PancakesError(f"{self.address} needs a broker, which has no virtual time: leave it out then")
         settings = self.settings
         for row in settings.take:
             self._check_type(row)
@@ -159,7 +159,7 @@ class MqttBridge(Service):
     # Messages that become packets ------------------------------------------------------------------------------
 
     def _came(self, message: Message) -> None:
-        """A message has come; in the connection's thread, which waits while there is no room for what is promised."""
+        """Take a message. In the connection's thread, which waits while there is no room for a promised message."""
         if self._arrivals.put(message):
             self.call(self._take_all)
 
@@ -171,10 +171,10 @@ class MqttBridge(Service):
             if not self._publish_in_hand():
                 self.after_host(AGAIN_S, self._take_all)
                 return
-        else:  # others have their turn
+        else:  # other actors have their turn
             self.call(self._take_all)
             return
-        if self._arrivals.ring():  # it has come since
+        if self._arrivals.ring():  # a message has come meanwhile
             self.call(self._take_all)
 
     def _take_next(self) -> bool:
@@ -186,7 +186,7 @@ class MqttBridge(Service):
         return True
 
     def _publish_in_hand(self) -> bool:
-        """Publish what a message says, for each row that means it; returns False where a reader has no room."""
+        """Publish a message as packets, by each row that matches it; return False if a reader has no room."""
         message = self._in_hand
         assert message is not None
         while self._rows_left:
@@ -194,14 +194,14 @@ class MqttBridge(Service):
             try:
                 body, left_out = body_in(message.payload, row.type, row.fields)
                 if left_out:
-                    self._complain(f"of what {message.topic} says a part is left out: {'; '.join(left_out)}")
+                    self._complain(f"a part of a message on {message.topic} is left out: {'; '.join(left_out)}")
                 self.publish(row.channel, body, row.to)
                 self._taken += 1
             except MailboxFull:
                 return False
             except (BadPayload, PancakesError) as error:
                 self._unfit += 1
-                self._complain(f"what {message.topic} says is no {row.type}: {error}")
+                self._complain(f"a message on {message.topic} is not a {row.type}: {error}")
             self._rows_left.pop(0)
         self._in_hand = None
         return True
@@ -228,7 +228,7 @@ class MqttBridge(Service):
         self.after(self.settings.report_s, self._report)
 
     def _complain(self, text: str) -> None:
-        # Said once between two reports: a publisher that is at odds with a table would drown everything else.
+        # Logged once between two reports: a publisher that does not fit a table would flood the log.
         if text not in self._complained and len(self._complained) < AT_ONCE:
             self._complained.add(text)
             self.log("warning", text)

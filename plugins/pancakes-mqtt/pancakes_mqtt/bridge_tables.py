@@ -1,4 +1,4 @@
-"""The rows of the service's tables: what is published, and what is taken."""
+"""The rows of the service's tables: which packets are published, and which messages are taken."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ PLACES: Final = {
     "channel": "channel",
     "type": "type",
 }
-"""What stands in a topic for a packet, with an example of each."""
+"""The placeholders in topics, with an example of each."""
 NOT_TAKEN: Final = (SYSCTRL, LOG)
-"""The channels that no topic leads to: a broker gives no orders to an agent, and does not speak in its log."""
+"""Channels that messages cannot reach: a broker must not give orders to an agent, or write its log."""
 
 
 @dataclass
 class PublishRow:
-    """What of a channel becomes messages.
+    """Which packets of a channel become messages.
 
     Attributes:
         channel: the channel.
@@ -35,8 +35,8 @@ class PublishRow:
         payload: `body`: the fields of the packet's body, as JSON; `packet`: also its source, type, stamp and number.
         qos: the quality of service.
         retain: whether the broker keeps the newest for those who subscribe later.
-        max_hz: so many packets a second of each publisher at the most; without it, all.
-        others: whether packets that came from other agents are published as well.
+        max_hz: at most this many packets a second of each publisher; without it, all.
+        others: also publish packets that came from other agents.
     """
 
     channel: str
@@ -62,10 +62,10 @@ class TakeRow:
         type: the type of the packets.
         channel: the channel on which they are published.
         to: the destination of the packets; empty: all subscribers of this agent.
-        fields: the path in the JSON for each field of the body; those that are not named are taken by their own name.
-            Where a body needs one field, its value may also be the payload itself.
-        qos: the quality of service that the broker is asked for.
-        retained: whether a message that the broker has kept, and that may be old, is taken.
+        fields: the path in the JSON for each field of the body; fields without a path are found by their own name. If a
+            body needs only one field, the payload itself may be its value.
+        qos: the quality of service of the subscription.
+        retained: also take retained messages, which may be old.
     """
 
     topic: str
@@ -82,4 +82,4 @@ class TakeRow:
         if self.retained and (fault := fault_of_retained(self.topic)):
             raise ValueError(fault)
         if self.channel in NOT_TAKEN:
-            raise ValueError(f"no message becomes a packet on {self.channel}: take it on {SYSTEM}, or on another")
+            raise ValueError(f"messages cannot become packets on {self.channel}: use {SYSTEM}, or another channel")

@@ -1,4 +1,4 @@
-"""One connection to one broker, and the thread that keeps it."""
+"""One connection to one broker, and the thread that keeps it open."""
 
 from __future__ import annotations
 
@@ -26,30 +26,30 @@ if TYPE_CHECKING:
 
 FIRST_PAUSE_S: Final = 0.2
 LONGEST_PAUSE_S: Final = 10.0
-"""How long, in host time, a broker that is not there is left alone before it is tried again."""
+"""The pause, in host time, before a missing broker is tried again."""
 STEADY_S: Final = 5.0
-"""A connection that stood for less is no good sign: the pause before the next grows on."""
+"""A connection that ends before this does not count as good: the pause keeps growing."""
 CONNECT_S: Final = 3.0
-"""So long a connection may take."""
+"""How long connecting may take."""
 LAST_WORDS_S: Final = 1.0
-"""So long what waits may take to leave once the connection is to end."""
+"""How long waiting messages may take to leave when the connection closes."""
 IN_FLIGHT: Final = 20
-"""So many messages (QoS 1 and 2) are under way to the broker at a time."""
+"""How many messages (QoS 1 and 2) may be in flight to the broker at a time."""
 MANY: Final = 3
-"""So many connections in a row that stood for a moment only are one too many."""
+"""After this many short connections in a row, two clients with one name are suspected."""
 UNSPECIFIED: Final = 0x80
 ONLINE: Final = b"online"
 OFFLINE: Final = b"offline"
 GROUND_S: Final = 0.5
 BESIDE_PAYLOAD_BYTES: Final = 66_000
-"""What a message may have besides its payload: its topic above all."""
+"""The overhead of a message besides its payload: mainly its topic."""
 
 Say = Callable[[str, str], None]
-"""Says a line on `log`: its level, and its text. Any thread."""
+"""Logs a line: its level and its text. Any thread."""
 
 
 class Counts(msgspec.Struct, frozen=True):
-    """What has become of the messages of a connection so far; see `pancakes_mqtt.packets.BrokerTraffic`."""
+    """Counters of a connection's messages; see `pancakes_mqtt.packets.BrokerTraffic`."""
 
     connected: bool = False
     connections: int = 0
@@ -60,20 +60,20 @@ class Counts(msgspec.Struct, frozen=True):
 
 
 class BrokerConnection:
-    """Keep a connection to a broker, in a thread of its own, once it is started; all that is paho's happens there.
+    """Keep a connection to a broker in its own thread, once started; paho is used only there.
 
-    A broker that is not there, or goes away, is tried again until it is there. What is promised (QoS 1 and 2) waits
-    meanwhile, in both directions, as far as it fits; what is not is dropped and counted.
+    A missing broker is tried again until it is there. Meanwhile promised messages (QoS 1 and 2) wait in both
+    directions, as far as there is room; others are dropped and counted.
 
     Args:
         settings: which broker.
-        client_id: its name where the settings say none.
-        say: says lines on `log`.
+        client_id: the connection's name, if the settings have none.
+        say: logs lines.
         status: the topic of the status, with a last will; empty: none.
-        lasting: whether the broker shall keep what comes also once this connection was closed, for the next one.
+        lasting: whether the broker keeps messages for the next connection after this one was closed.
 
     Raises:
-        PancakesError: a file that the settings name cannot be used.
+        PancakesError: a file in the settings cannot be used.
     """
 
     def __init__(self, settings: BrokerSettings, client_id: str, say: Say, status: str = "", lasting: bool = False):
@@ -90,7 +90,7 @@ class BrokerConnection:
         for end in (self._wake_in, self._wake_out):
             end.setblocking(False)
         self._ending = threading.Event()
-        # What follows is the thread's own.
+        # The rest is used only by the thread.
         self._in_flight: set[int] = set()
         self._window = IN_FLIGHT
         self._best_qos = 2
@@ -101,7 +101,7 @@ class BrokerConnection:
         self._pause_s = FIRST_PAUSE_S
         self._since_s = 0.0
         self._brief = 0
-        self._random = random.Random(self._client_id)  # agents that lost one broker do not return together
+        self._random = random.Random(self._client_id)  # agents that lost a broker do not all return at once
         self._clock = MonotonicClock()
         try:
             self._client = self._make_client()
@@ -114,13 +114,13 @@ class BrokerConnection:
     # Any thread ------------------------------------------------------------------------------------------------
 
     def start(self) -> None:
-        """Begin to connect. What is listened to by then misses nothing that the broker has kept."""
-        # A process that ends waits for the last words: a switch may have to be told to go off.
+        """Begin to connect. Filters that are added before this miss no kept message."""
+        # A process waits for its last messages: perhaps a switch must be turned off.
         atexit.register(self._outlast)
         self._thread.start()
 
     def publish(self, message: Message) -> bool:
-        """Send a message, as soon as there is a broker where it is promised; returns False where it is lost."""
+        """Send a message; a promised one waits for a broker. Return False if it is lost."""
         with self._lock:
             connected = self._counts.connected
         if not connected and not message.promised:
@@ -132,17 +132,17 @@ class BrokerConnection:
         return True
 
     def listen(self, filter_: str, qos: int, taker: Taker) -> None:
-        """Give `taker` each message that the filter means, in this connection's thread, also after it was lost."""
+        """Pass `taker` each message that matches the filter, in this connection's thread, also after reconnecting."""
         self._subscriptions.add(filter_, qos, taker)
         self._wake()
 
     def unlisten(self, taker: Taker) -> None:
-        """End what `listen` began."""
+        """Undo `listen`."""
         self._subscriptions.remove(taker)
         self._wake()
 
     def counts(self) -> Counts:
-        """Return what has become of the messages so far."""
+        """Return the counters of messages."""
         with self._lock:
             counts = self._counts
         return msgspec.structs.replace(
@@ -150,7 +150,7 @@ class BrokerConnection:
         )
 
     def close(self) -> None:
-        """Let what waits leave, says `offline`, and ends. Does not wait for that."""
+        """Send what waits, publish `offline`, and end. Does not wait for that."""
         self._ending.set()
         self._wake()
 
@@ -162,7 +162,7 @@ class BrokerConnection:
         try:
             self._wake_in.send(b"\0")
         except OSError:
-            pass  # it is full, so the thread wakes; or it is closed, as the thread has ended
+            pass  # it is full, so the thread wakes; or it is closed, because the thread has ended
 
     def _count(self, **more: int) -> None:
         with self._lock:
@@ -178,7 +178,7 @@ class BrokerConnection:
         five = settings.protocol == "5"
 
         class SideBySide(paho.Client):
-            """Connect to what has several addresses; paho tries one after the other, each with the whole time."""
+            """Connect to several addresses at once; paho tries one after the other, each with the whole time."""
 
             def _create_socket_connection(self) -> socket.socket:
                 return connect(settings.host, settings.port, CONNECT_S)
@@ -208,7 +208,7 @@ class BrokerConnection:
         return client
 
     def _session(self) -> dict[str, Any]:
-        """Return what MQTT 5.0 wants to know of the session; 3.1.1 knows whether there is to be one."""
+        """Return the session options for MQTT 5.0; 3.1.1 only has whether there is a session."""
         from paho.mqtt.packettypes import PacketTypes
         from paho.mqtt.properties import Properties
 
@@ -218,7 +218,7 @@ class BrokerConnection:
         properties = Properties(PacketTypes.CONNECT)
         properties.SessionExpiryInterval = settings.session_s
         properties.MaximumPacketSize = min(settings.largest_bytes + BESIDE_PAYLOAD_BYTES, 0xFFFFFFFF)
-        # Never a clean start: mosquitto 2.0 does not write the session of one that began so to its disk.
+        # Never a clean start: mosquitto 2.0 does not save such a session to disk.
         return {"properties": properties, "clean_start": settings.session_s == 0}
 
     def _run(self) -> None:
@@ -240,7 +240,7 @@ class BrokerConnection:
             self._wake_out.close()
 
     def _attend(self) -> None:
-        """Speak with the broker until the connection is gone."""
+        """Serve the connection until it ends."""
         client = self._client
         until_s = None
         while (broker := client.socket()) is not None:
@@ -273,7 +273,7 @@ class BrokerConnection:
             pass
 
     def _feed(self) -> None:
-        """Hand paho what waits, so much that little waits there."""
+        """Pass waiting messages to paho, but only few at a time."""
         client = self._client
         if not client.is_connected():
             return
@@ -301,7 +301,7 @@ class BrokerConnection:
             self._say_once("error", f"nothing can be published on {message.topic!r}: {error}")
             return
         if qos:
-            self._in_flight.add(told.mid)  # paho sends it again where the connection is lost
+            self._in_flight.add(told.mid)  # paho sends it again if the connection is lost
         elif told.rc:
             self._count(unsent=1)
         else:
@@ -322,7 +322,7 @@ class BrokerConnection:
             self._client.unsubscribe(filter_)
 
     def _say_good_bye(self) -> float:
-        """Begin the end: the last word is on its way. Returns when it ends at the latest, in host time."""
+        """Begin to close: send the last message. Return when to end at the latest, in host time."""
         if self._status and self._client.is_connected():
             self._spool.put(Message(self._status, OFFLINE, 1, True))
         return self._clock.now() + LAST_WORDS_S
@@ -346,7 +346,7 @@ class BrokerConnection:
             broker.close()
 
     def _lost(self) -> None:
-        """The connection is gone, or never stood: says so once, forgets what is not promised, and waits."""
+        """Handle a lost or failed connection: log it once, drop messages that are not promised, and wait."""
         with self._lock:
             was = self._counts.connected
             self._counts = msgspec.structs.replace(self._counts, connected=False)
@@ -380,7 +380,7 @@ class BrokerConnection:
             self._why = f"it ends one connection after the other: is another one called {self._client_id}, too?"
 
     def _say_once(self, level: str, text: str) -> None:
-        """Say a line, until the next connection once."""
+        """Log a line only once until the next connection."""
         if text not in self._said:
             self._said.add(text)
             self._say(level, text)
@@ -408,7 +408,7 @@ class BrokerConnection:
         if flags.is_disconnect_packet_from_server:
             self._why = why_refused(reason.value, reason.getName())
             if reason.value == TAKEN_OVER:
-                self._pause_s = LONGEST_PAUSE_S  # else the two would take it from each other without end
+                self._pause_s = LONGEST_PAUSE_S  # otherwise the two would replace each other without end
         elif reason.is_failure and reason.value != UNSPECIFIED and not self._why:
             self._why = reason.getName().lower()
 
@@ -439,7 +439,7 @@ class BrokerConnection:
         try:
             topic = message.topic
         except UnicodeDecodeError:
-            self._say_once("warning", "a message came on a topic that is no UTF-8")
+            self._say_once("warning", "a message came on a topic that is not UTF-8")
             return
         if (size := len(message.payload)) > self._settings.largest_bytes:
             self._count(oversized=1)

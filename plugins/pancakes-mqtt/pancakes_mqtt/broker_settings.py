@@ -1,4 +1,4 @@
-"""Which broker, and how it is spoken to: what the drivers and the service have in common in their settings."""
+"""The broker settings that the drivers and the service share."""
 
 from __future__ import annotations
 
@@ -20,21 +20,21 @@ PORTS: Final = {"mqtt": 1883, "mqtts": 8883}
 
 @dataclass(kw_only=True)
 class BrokerSettings:
-    """Which broker, and how it is spoken to.
+    """Which broker to use, and how.
 
     Attributes:
         broker: its address, such as `mqtt://192.168.1.5:1883`; `mqtts://` is encrypted (TLS).
         user: the name that the broker knows this agent by; empty: none.
         password_file: a file whose first line is the password; empty: none.
-        ca: a file with the certificates (PEM) of those that may vouch for the broker; empty: those of the system.
+        ca: a file with the certificates (PEM) of the authorities for the broker; empty: those of the system.
         certificate: a file with the certificate (PEM) that this agent shows; empty: none.
         key: the file with its key (PEM).
         protocol: the version of MQTT.
         client_id: the name of the connection, of which a broker has one at a time; empty: made of the agent's name.
-        keepalive_s: a broker that is silent for so long, in seconds of the host, is asked whether it is there.
-        session_s: for how long, in seconds of the host, the broker keeps what comes for this agent (QoS 1 and 2) while
-            it is away; 0: not at all; 4294967295: for ever. With 3.1.1 the broker's own configuration says how long.
-        queue: so many messages wait at the most, each way.
+        keepalive_s: after this silence, in seconds of the host, the broker is pinged.
+        session_s: for how long, in seconds of the host, the broker keeps messages (QoS 1 and 2) for this agent while it
+            is away; 0: not at all; 4294967295: for ever. With 3.1.1 the broker's own configuration decides.
+        queue: the most messages that wait, each way.
         largest_bytes: a message whose payload is larger is not taken. With MQTT 5 the broker does not even send it.
     """
 
@@ -54,7 +54,7 @@ class BrokerSettings:
     def __post_init__(self) -> None:
         fault = fault_of_broker(self.broker)
         if not fault and not self.encrypted and (self.ca or self.certificate):
-            fault = f"broker = {self.broker!r} is not encrypted, so ca and certificate say nothing: write mqtts://"
+            fault = f"broker = {self.broker!r} is not encrypted, so ca and certificate have no use: write mqtts://"
         if not fault and bool(self.certificate) != bool(self.key):
             fault = "certificate and key go together"
         if not fault and self.password_file and not self.user:
@@ -80,21 +80,21 @@ class BrokerSettings:
 
     @property
     def connection_key(self) -> str:
-        """What connections that may be one have in common."""
+        """The key of settings that can share one connection."""
         return repr([getattr(self, field.name) for field in fields(BrokerSettings)])
 
 
 def fault_of_broker(broker: str) -> str:
-    """Say why a text is no address of a broker; empty: it is one."""
+    """Return why a text is not the address of a broker; empty: it is."""
     try:
         address = urlsplit(broker)
         sound = address.scheme in PORTS and bool(address.hostname) and address.port != 0
     except ValueError:
         sound = False
     if not sound or address.path.strip("/") or address.query:
-        return f"broker = {broker!r} is no address such as 'mqtt://192.168.1.5:1883' or 'mqtts://broker.local'"
+        return f"broker = {broker!r} is not an address such as 'mqtt://192.168.1.5:1883' or 'mqtts://broker.local'"
     if address.username is not None:
-        return "broker has a name in it: write it as user, and the password into a file (password_file)"
+        return "broker contains a name: write it as user, and the password in a file (password_file)"
     return ""
 
 
@@ -116,12 +116,12 @@ def password_of(settings: BrokerSettings) -> str:
     if mode & (stat.S_IROTH | stat.S_IWOTH):
         raise PancakesError(f"password_file: every user of this machine can read {path}: chmod 600 {path}")
     if not lines or not lines[0]:
-        raise PancakesError(f"password_file: {path} is empty; its first line is to be the password")
+        raise PancakesError(f"password_file: {path} is empty; its first line must be the password")
     return lines[0]
 
 
 def check_files(settings: BrokerSettings) -> None:
-    """Raise PancakesError where a file that the settings name cannot be read."""
+    """Raise PancakesError if a file in the settings cannot be read."""
     for name in ("ca", "certificate", "key"):
         path = getattr(settings, name)
         if path and not os.access(path, os.R_OK):

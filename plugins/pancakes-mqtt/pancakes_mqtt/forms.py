@@ -1,4 +1,4 @@
-"""How the devices of Zigbee2MQTT, ESPHome and Tasmota speak: topics, paths and payloads, by what is wanted. Pure.
+"""The topics, paths and payloads of devices of Zigbee2MQTT, ESPHome and Tasmota. Pure.
 
 Sources: zigbee2mqtt.io/guide/usage/mqtt_topics_and_messages.html; esphome.io/components/mqtt.html;
 tasmota.github.io/docs/MQTT/.
@@ -12,11 +12,11 @@ from typing import Final, Literal
 import msgspec
 
 FormName = Literal["zigbee2mqtt", "esphome", "tasmota", ""]
-"""Which program or firmware the device speaks by; empty: by topics and paths of its own."""
+"""The program or firmware of a device; empty: its own topics and paths."""
 
 
 class Saying(msgspec.Struct, frozen=True):
-    """Where a thing is said.
+    """Where a value is published.
 
     Attributes:
         topic: the topic, with `{device}`, or `{node}` and `{id}`.
@@ -28,14 +28,14 @@ class Saying(msgspec.Struct, frozen=True):
 
 
 class Form(msgspec.Struct, frozen=True):
-    """How devices of one kind speak.
+    """The conventions of one program or firmware.
 
     Attributes:
-        says: where each kind of reading is said.
-        available: where they say whether they are there.
+        says: where each kind of reading is published.
+        available: where their availability is published.
         commands: where each kind of command is taken.
         on, off: the payloads that switch.
-        brightest: of the brightness of a light.
+        brightest: the highest brightness of a light.
         two_names: whether a device's name is `node/id`.
     """
 
@@ -95,15 +95,15 @@ FORMS: Final[Mapping[str, Form]] = {
 
 
 def fault_of_device(form: str, device: str) -> str:
-    """Say why a form has no device of this name; empty: it has."""
+    """Return why a device name does not fit a form; empty: it fits."""
     if not form:
-        return f"device = {device!r} says nothing without form" if device else ""
+        return f"device = {device!r} has no use without form" if device else ""
     if not device:
         return f"form = {form!r} needs the name of a device"
     if any(sign in device for sign in "+#{}\0"):
-        return f"device = {device!r} is no name of a device"
+        return f"device = {device!r} is not the name of a device"
     if FORMS[form].two_names and (device.count("/") != 1 or not all(device.split("/"))):
-        return f"device = {device!r} is no device of {form}, whose names are such as 'node/id'"
+        return f"device = {device!r} is not a device of {form}, whose names are like 'node/id'"
     return ""
 
 
@@ -114,12 +114,12 @@ def named(template: str, device: str) -> str:
 
 
 def light_payload(form: str, share: float) -> str:
-    """Return what a light of a form is told so that it shines with this share of its brightness, above 0."""
+    """Return the payload that sets a light to this share of its brightness, above 0."""
     if form == "tasmota":
         return str(max(1, round(100 * share)))
     return f'{{"state": "ON", "brightness": {max(1, round(FORMS[form].brightest * share))}}}'
 
 
 def dark_payload(form: str) -> str:
-    """Return what a light of a form is told so that it is dark."""
+    """Return the payload that turns a light off."""
     return "0" if form == "tasmota" else '{"state": "OFF"}'

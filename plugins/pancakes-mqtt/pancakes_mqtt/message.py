@@ -1,4 +1,4 @@
-"""What travels over a broker: a topic and some bytes."""
+"""A message of a broker: a topic and some bytes."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ class Message(msgspec.Struct, frozen=True):
         topic: its topic.
         payload: its bytes.
         qos: its quality of service.
-        retain: whether the broker shall keep it for those who subscribe later; of one that came in: whether it was
-            kept so, and may be old.
+        retain: whether the broker keeps it for those who subscribe later; of a received one: whether it was kept, and
+            so may be old.
     """
 
     topic: str
@@ -28,10 +28,10 @@ class Message(msgspec.Struct, frozen=True):
 
     @property
     def promised(self) -> bool:
-        """Whether it may not be lost."""
+        """Whether it must not be lost."""
         return self.qos > 0
 
     @property
     def weight(self) -> int:
-        """How many bytes it takes."""
+        """Its size in bytes."""
         return len(self.topic) + len(self.payload)

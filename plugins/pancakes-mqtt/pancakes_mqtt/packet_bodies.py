@@ -1,4 +1,4 @@
-"""Bodies of packets as JSON, and out of it. Pure."""
+"""Convert bodies of packets to JSON and back. Pure."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ def payload_of(packet: Packet, whole: bool) -> bytes:
 
     Args:
         packet: the packet.
-        whole: whether more of it than its body is told.
+        whole: whether to include more than its body.
 
     Raises:
-        BadPayload: JSON has no words for it.
+        BadPayload: JSON cannot express it.
     """
     try:
         body = body_to_plain(packet.body)
     except (TypeError, ValueError, RecursionError) as error:
-        raise BadPayload(f"it cannot be said in JSON: {error}") from None
+        raise BadPayload(f"it cannot be written as JSON: {error}") from None
     if not whole:
         return plain_json(body)
     told = {"source": packet.source, "type": packet.type, "stamp": packet.stamp, "seq": packet.seq, "body": body}
@@ -36,15 +36,16 @@ def payload_of(packet: Packet, whole: bool) -> bytes:
 
 
 def body_in(payload: bytes, kind: str, paths: Mapping[str, str]) -> tuple[Any, list[str]]:
-    """Return the body of a packet that a payload tells of, and what of the payload could not be read.
+    """Return the packet body in a payload, and what could not be read.
 
-    Numbers, and yes and no, are read as the drivers of sensors read them: as JSON's own, or as texts. A field that has
-    a default keeps it if what the payload says of it cannot be read.
+    Numbers and booleans are read as the drivers of sensors read them: as JSON's own, or as texts. A field with a
+        default
+    keeps it if its value cannot be read.
 
     Args:
         payload: JSON.
         kind: the type of the packet.
-        paths: the path of each field that has another than its own name.
+        paths: the path of each field whose path is not its own name.
 
     Raises:
         BadPayload: there is no body in it.
@@ -58,7 +59,7 @@ def body_in(payload: bytes, kind: str, paths: Mapping[str, str]) -> tuple[Any, l
     elif cls is not None and len(needed := required_keys(cls) or names) == 1:
         plain = {next(iter(needed)): value}
     else:
-        raise BadPayload(f"{kind} has the fields {', '.join(names) or 'none'}, and the payload is no JSON object")
+        raise BadPayload(f"{kind} has the fields {', '.join(names) or 'none'}, and the payload is not a JSON object")
     left_out = list(_read_fields(plain, cls)) if cls is not None else []
     try:
         return body_from_plain(kind, plain), left_out
@@ -67,10 +68,10 @@ def body_in(payload: bytes, kind: str, paths: Mapping[str, str]) -> tuple[Any, l
 
 
 def _read_fields(plain: dict[str, Any], cls: type) -> Iterator[str]:
-    """Read the values of fields as their types want them; yields why a field is left out.
+    """Convert the values of fields to their types; yield why a field is left out.
 
     Raises:
-        BadPayload: a field cannot be read that the body needs.
+        BadPayload: a required field cannot be read.
     """
     for field in codecs.type_info(cls).fields:  # type: ignore[attr-defined]
         name = field.encode_name
@@ -88,15 +89,15 @@ def _read_fields(plain: dict[str, Any], cls: type) -> Iterator[str]:
 
 
 def _read_value(value: Any, kind: inspect.Type) -> Any:
-    """Return a value as a type wants it: what is no number and no yes or no is left to `body_from_plain`."""
-    if isinstance(kind, inspect.Metadata) and (kind.extra or {}).get("nan"):  # NaN says that it is not known
+    """Convert a value to a number or boolean type; other types are left to `body_from_plain`."""
+    if isinstance(kind, inspect.Metadata) and (kind.extra or {}).get("nan"):  # NaN means unknown
         return math.nan if value is None else value if isinstance(value, (int, float)) else number_of(value)
     kinds = kind.types if isinstance(kind, inspect.UnionType) else (kind,)
     kinds = tuple(it.type if isinstance(it, inspect.Metadata) else it for it in kinds)
     if any(isinstance(it, inspect.StrType) for it in kinds):
         return value
     if isinstance(value, float) and not math.isfinite(value):
-        raise BadPayload(f"{value} is no finite number")
+        raise BadPayload(f"{value} is not a finite number")
     if any(isinstance(it, inspect.BoolType) for it in kinds):
         read: Any = value if isinstance(value, (Mapping, list)) else truth_of(value)
     elif any(isinstance(it, (inspect.FloatType, inspect.IntType)) for it in kinds) and isinstance(
@@ -108,5 +109,5 @@ def _read_value(value: Any, kind: inspect.Type) -> Any:
     else:
         return value
     if read is None and not any(isinstance(it, inspect.NoneType) for it in kinds):
-        raise BadPayload("the device cannot tell")
+        raise BadPayload("the device reports no value")
     return read

@@ -1,4 +1,4 @@
-"""What the devices and the service of MQTT say."""
+"""The packets of the MQTT devices and service."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from pancakes.packet import packet_type
 
 @packet_type("mqtt.number")
 class Number(msgspec.Struct, frozen=True):
-    """A reading for which there is no type of its own: humidity, light, power.
+    """A reading without a type of its own: humidity, light, power.
 
     Attributes:
         value: the number.
-        unit: its unit, as the configuration says it.
+        unit: its unit, from the configuration.
     """
 
     value: float
@@ -31,24 +31,24 @@ class Switch(msgspec.Struct, frozen=True):
 
 @packet_type("mqtt.light")
 class Light(msgspec.Struct, frozen=True):
-    """A command to a light: how bright it shall shine, from 0 (off) to 1."""
+    """A command to a light: its brightness, from 0 (off) to 1."""
 
     brightness: Annotated[float, msgspec.Meta(ge=0, le=1)]
 
 
 @packet_type("mqtt.traffic")
 class BrokerTraffic(msgspec.Struct, frozen=True):
-    """How the MQTT service fares with its broker. It counts from the start of the service.
+    """The counters of the MQTT service, from its start.
 
     Attributes:
         connected: whether the broker takes and sends messages.
-        connections: how often a connection stood.
-        published: messages that the broker has got; where it promises that (QoS 1 and 2): that it has said so.
-        unsent: messages that were lost before that: no broker (QoS 0), no room, or the broker has refused them.
-        waiting: messages that wait for the broker, or for its word.
+        connections: how often it has connected.
+        published: messages that the broker has got; with QoS 1 and 2: that it has acknowledged.
+        unsent: messages that were lost before that: no broker (QoS 0), no room, or the broker refused them.
+        waiting: messages that wait for the broker or its acknowledgement.
         taken: messages that became packets.
-        overflowed: messages (QoS 0) that fell out because they came faster than packets could be made of them.
-        unfit: messages that no packet could be made of, or that were too large.
+        overflowed: messages (QoS 0) that were dropped because they came too fast.
+        unfit: messages that did not fit a packet, or that were too large.
     """
 
     connected: bool

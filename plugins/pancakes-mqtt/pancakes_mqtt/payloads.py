@@ -1,7 +1,7 @@
-"""Payloads: values out of what devices say, by a path in their JSON, and what devices are told. Pure.
+"""Payloads: read values by a path in a device's JSON, and write payloads for devices. Pure.
 
 A path is the keys that lead to a value, with dots between them: `SI7021.Temperature`. A number is a place in a list,
-from 0; `*` is the one key under which the rest of the path leads on.
+from 0; `*` is the only key under which the rest of the path leads on.
 """
 
 from __future__ import annotations
@@ -21,31 +21,31 @@ from pancakes.util.text import number_in
 TRUE: Final = ("on", "true", "1", "yes", "online", "open", "detected", "occupied", "motion")
 FALSE: Final = ("off", "false", "0", "no", "offline", "closed", "clear", "not_detected", "none")
 UNKNOWN: Final = ("", "unknown", "unavailable", "null")
-"""What devices say for: I cannot tell."""
+"""What devices write for an unknown value."""
 SHOWN: Final = 60
 _decode: Final = codecs.json_decoder()
 _WORDS: Final = re.compile(r'"(?:[^"\\]|\\.)*(?:"|\Z)|[-+]?\b(?:nan|inf|infinity)\b', re.IGNORECASE | re.DOTALL)
-"""A text in JSON, or what a C program prints for a number that is none."""
+"""A text in JSON, or what a C program prints for NaN and infinity."""
 _BROKEN: Final = "\ufffd"
-"""Stands for bytes that are no UTF-8."""
+"""Replaces bytes that are not UTF-8."""
 
 
 class BadPayload(ValueError):
-    """A payload has no such value; the sentence says why."""
+    """A payload has no such value; the message says why."""
 
 
 def value_at(payload: bytes, path: str) -> Any:
     """Return the value that a path leads to in a payload.
 
     Args:
-        payload: JSON, or any text where the path is empty.
+        payload: JSON, or any text if the path is empty.
         path: the path; empty: the whole payload.
 
     Returns:
-        The value; None where the device says null there.
+        The value; None if the device wrote null.
 
     Raises:
-        BadPayload: there is none.
+        BadPayload: there is no such value.
     """
     if not path:
         return _whole(payload)
@@ -58,18 +58,18 @@ def value_at(payload: bytes, path: str) -> Any:
 
 
 def decoded(payload: bytes) -> Any:
-    """Return what a payload says in JSON, as far as it can be read: see `oddities`. Raises BadPayload."""
+    """Decode a payload of JSON, as far as it can be read: see `oddities`. Raises BadPayload."""
     try:
         return _decode(payload)
     except MALFORMED as error:
         found, value = _decoded_leniently(payload)
         if found:
             return value
-        raise BadPayload(f"{shown(payload)} is no JSON ({why_malformed(error)})") from None
+        raise BadPayload(f"{shown(payload)} is not JSON ({why_malformed(error)})") from None
 
 
 def oddities(payload: bytes) -> str:
-    """Return what in a payload that can be read is no JSON: `humidity is nan`; empty: nothing, or all of it."""
+    """Return the parts of a readable payload that are not JSON: `humidity is nan`; empty: none, or all."""
     try:
         _decode(payload)
         return ""
@@ -79,10 +79,10 @@ def oddities(payload: bytes) -> str:
 
 
 def _decoded_leniently(payload: bytes) -> tuple[bool, Any]:
-    """Read what devices write for JSON: with NaN and inf, bytes of other alphabets, a mark of their order, a zero."""
+    """Read JSON as devices write it: with NaN and inf, bytes that are not UTF-8, a byte order mark, a final zero."""
     text = payload.decode("utf-8", "replace").removeprefix("\ufeff").rstrip("\0")
     try:
-        # Python knows these words in one spelling only.
+        # Python reads only one spelling of these words.
         text = _WORDS.sub(lambda found: _word(found[0]), text)
         return True, json.loads(text, strict=False, parse_int=_whole_number)
     except (ValueError, RecursionError):
@@ -100,7 +100,7 @@ def _word(found: str) -> str:
 def _whole_number(digits: str) -> float:
     try:
         return int(digits)
-    except ValueError:  # Python reads no number of thousands of digits
+    except ValueError:  # Python does not read numbers with thousands of digits
         return math.inf
 
 
@@ -124,7 +124,7 @@ def _whole(payload: bytes) -> Any:
         try:
             return payload.decode("utf-8-sig").rstrip("\0")
         except UnicodeDecodeError:
-            raise BadPayload(f"{shown(payload)} is no text") from None
+            raise BadPayload(f"{shown(payload)} is not text") from None
 
 
 def _step(value: Any, key: str, rest: list[str], path: str) -> Any:
@@ -142,7 +142,7 @@ def _step(value: Any, key: str, rest: list[str], path: str) -> Any:
         if int(key) < len(value):
             return value[int(key)]
         raise BadPayload(f"the path {path!r} wants item {key}, and its list has {len(value)}")
-    raise BadPayload(f"the path {path!r} leads on at {key!r}, where {shown(value)} stands")
+    raise BadPayload(f"the path {path!r} leads on at {key!r}, but {shown(value)} is there")
 
 
 def _listed(value: Mapping[Any, Any]) -> str:
@@ -150,31 +150,31 @@ def _listed(value: Mapping[Any, Any]) -> str:
 
 
 def number_of(value: Any) -> float | None:
-    """Return a value as a number; None where the device says that it cannot tell.
+    """Return a value as a number; None if the device reports no value.
 
     Raises:
-        BadPayload: it is none, or not finite.
+        BadPayload: it is not a number, or not finite.
     """
     if value is None or (isinstance(value, str) and value.strip().lower() in UNKNOWN):
         return None
     if isinstance(value, bool):
-        raise BadPayload(f"{shown(value)} is no number")
+        raise BadPayload(f"{shown(value)} is not a number")
     try:
         number = number_in(value) if isinstance(value, str) else float(value)
     except (TypeError, ValueError, OverflowError):
-        raise BadPayload(f"{shown(value)} is no number") from None
+        raise BadPayload(f"{shown(value)} is not a number") from None
     if not math.isfinite(number):
-        raise BadPayload(f"{shown(value)} is no finite number")
+        raise BadPayload(f"{shown(value)} is not a finite number")
     return number
 
 
 def truth_of(value: Any, yes: Sequence[str] = (), no: Sequence[str] = ()) -> bool | None:
-    """Return a value as yes or no; None if the device says that it cannot tell. Raises BadPayload.
+    """Return a value as yes or no; None if the device reports no value. Raises BadPayload.
 
     Args:
-        value: what the device says.
-        yes: what means yes, in small letters, besides what always does.
-        no: what means no.
+        value: the value from the device.
+        yes: further values for yes, in small letters.
+        no: further values for no.
     """
     text = str(value).strip().lower()
     if text in yes:
@@ -189,7 +189,7 @@ def truth_of(value: Any, yes: Sequence[str] = (), no: Sequence[str] = ()) -> boo
         return True
     if text in FALSE:
         return False
-    raise BadPayload(f"{shown(value)} says neither yes nor no")
+    raise BadPayload(f"{shown(value)} means neither yes nor no")
 
 
 def celsius_of(value: float, unit: str) -> float:
@@ -205,7 +205,7 @@ def text_of(value: Any) -> bytes:
 
 
 def written(template: str, values: Mapping[str, float]) -> bytes:
-    """Return a template with numbers in the places of their names, such as `{"v": {v_mps}}`."""
+    """Return a template with its placeholders replaced by numbers, such as `{"v": {v_mps}}`."""
     for name, value in values.items():
         template = template.replace(f"{{{name}}}", format(value, ".6g"))
     return template.encode()
@@ -215,16 +215,16 @@ def plain_json(value: Any) -> bytes:
     """Return plain values as JSON, in which NaN and infinity are null.
 
     Raises:
-        BadPayload: there is no JSON for it.
+        BadPayload: JSON cannot express it.
     """
     try:
         return codecs.encode_json(value)
     except (TypeError, ValueError, RecursionError, OverflowError, msgspec.MsgspecError) as error:
-        raise BadPayload(f"it cannot be said in JSON: {error}") from None
+        raise BadPayload(f"it cannot be written as JSON: {error}") from None
 
 
 def shown(value: Any) -> str:
-    """Return a value as it stands in a sentence, not too long."""
+    """Return a value for a message, not too long."""
     text = value.decode(errors="replace") if isinstance(value, bytes) else value
     text = repr(text)
     return text if len(text) <= SHOWN else text[: SHOWN - 3] + "..."

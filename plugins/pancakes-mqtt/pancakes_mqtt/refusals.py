@@ -1,4 +1,4 @@
-"""Why a broker cannot be spoken to, as sentences that say what to do. Pure."""
+"""Why a broker cannot be used, as sentences that say what to do. Pure."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ REFUSED: Final = {
     0x01: 'it speaks another version of MQTT: set protocol = "3.1.1"',
     0x85: "it does not take this client_id: set another",
     0x02: "it does not take this client_id: set another",
-    0x86: "the user or the password is wrong: look at user and password_file",
-    0x04: "the user or the password is wrong: look at user and password_file",
-    0x87: "it lets no such user in: look at user and password_file, and at the broker's rules",
-    0x05: "it lets no such user in: look at user and password_file, and at the broker's rules",
-    0x8E: "another connection has the same client_id: two agents have one name, or give one of them a client_id",
-    0x93: "it was sent more at a time than it takes",
-    0x95: "a message was larger than it takes",
+    0x86: "the user or the password is wrong: check user and password_file",
+    0x04: "the user or the password is wrong: check user and password_file",
+    0x87: "it does not let this user in: check user and password_file, and the broker's rules",
+    0x05: "it does not let this user in: check user and password_file, and the broker's rules",
+    0x8E: "another connection has the same client_id: rename one of the agents, or give one a client_id",
+    0x93: "it was sent too much at a time",
+    0x95: "a message was too large for it",
     0x97: "its quota is used up",
     0x9A: "it keeps no messages (retain)",
     0x9B: "it does not take this QoS",
 }
-"""What the reason codes of MQTT 5.0 (2.4) and the return codes of 3.1.1 (3.2.2.3) that people can do something about
-mean for an agent."""
+"""The meaning for an agent of those reason codes of MQTT 5.0 (2.4) and return codes of 3.1.1 (3.2.2.3) that people can
+act on."""
 TAKEN_OVER: Final = 0x8E
 
 
@@ -33,20 +33,20 @@ def why_refused(code: int, name: str) -> str:
 
     Args:
         code: the reason code.
-        name: what the standard calls it.
+        name: its name in the standard.
     """
     return REFUSED.get(code, name.lower())
 
 
 def why_unreachable(error: OSError, encrypted: bool) -> str:
-    """Return why no connection came to be, as a clause.
+    """Return why connecting failed, as a clause.
 
     Args:
-        error: what connecting has raised.
-        encrypted: whether it was to be encrypted.
+        error: the error of connecting.
+        encrypted: whether the connection should be encrypted.
     """
     if isinstance(error, ssl.SSLCertVerificationError):
-        return f"its certificate is not believed ({error.verify_message}): look at ca, and at the host in broker"
+        return f"its certificate is not trusted ({error.verify_message}): check ca, and the host in broker"
     if isinstance(error, ssl.SSLError):
         if error.reason in ("WRONG_VERSION_NUMBER", "UNEXPECTED_EOF_WHILE_READING", "RECORD_LAYER_FAILURE"):
             return "it does not speak TLS at this port: write mqtt://, or its encrypted port"
@@ -56,5 +56,5 @@ def why_unreachable(error: OSError, encrypted: bool) -> str:
     if isinstance(error, TimeoutError):
         return "it does not answer"
     if isinstance(error, ConnectionResetError) and encrypted:
-        return "it ended the connection: it may speak no TLS at this port, or want a certificate"
+        return "it ended the connection: perhaps it does not speak TLS at this port, or needs a certificate"
     return os.strerror(error.errno).lower() if error.errno else str(error)

@@ -1,6 +1,6 @@
-"""Sensors that others have made and that speak by MQTT, as drivers (`mqtt.*`).
+"""Drivers of third-party sensors that publish by MQTT (`mqtt.*`).
 
-A message becomes a reading in the thread of the connection, which hands it to the stream at once: nothing waits here.
+A message becomes a reading in the thread of the connection, which passes it to the stream at once: nothing waits here.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ from pancakes_mqtt.shared_broker import SharedBroker, shared_broker
 from pancakes_mqtt.topics import fault_of_filter, fault_of_retained, means
 
 MOST_TOLD = 20
-"""A device warns of no more than so many different things that are wrong in part."""
+"""A device logs at most this many different warnings about parts of messages."""
 
 
 class MqttSensor(Sensor):
-    """A sensor that speaks by MQTT; a type of one's own needs a subclass that names it and makes its body.
+    """A sensor that publishes by MQTT. Subclass it for another type: name the type and make its body.
 
     Attributes:
-        kind: what a form calls its readings; empty: no form has such.
+        kind: the name of its readings in a form; empty: no form has any.
     """
 
     rate = "none"
@@ -40,17 +40,17 @@ class MqttSensor(Sensor):
 
     @dataclass(kw_only=True)
     class Settings(BrokerSettings):
-        """Where it speaks, and how.
+        """Where and how it publishes.
 
         Attributes:
-            form: which program or firmware the device speaks by; without it, `topic` says where.
-            device: its name there: `shed`, or with esphome `node/id`.
-            topic: the topic of its readings, where it is another than the form's.
+            form: the program or firmware of the device; without it, `topic` is needed.
+            device: its name in that program: `shed`, or with esphome `node/id`.
+            topic: the topic of its readings, if not that of the form.
             field: the path of the reading in its JSON, such as `SI7021.Temperature`; empty: the payload is the reading.
-            available: the topic on which it says whether it is there, where it is another than the form's.
-            qos: the quality of service that the broker is asked for.
-            retained: whether a reading that the broker has kept, and that may be old, counts.
-            max_hz: how many readings a second are published, where more come; without it, all are.
+            available: the topic of its availability, if not that of the form.
+            qos: the quality of service of the subscription.
+            retained: also take retained readings, which may be old.
+            max_hz: at most this many readings a second are published; without it, all.
         """
 
         form: FormName = ""
@@ -87,10 +87,10 @@ class MqttSensor(Sensor):
 
     @abstractmethod
     def body(self, payload: bytes, field: str) -> Any | None:
-        """Return the reading in a payload; None where the device cannot tell. In the connection's thread.
+        """Return the reading in a payload; None if the device reports no value. In the connection's thread.
 
         Raises:
-            BadPayload: there is none.
+            BadPayload: the payload has no reading.
         """
 
     def open(self) -> None:
@@ -110,7 +110,7 @@ class MqttSensor(Sensor):
             self._broker.leave(self.context.device, self._came)
 
     def sample(self) -> None:
-        """Readings come by themselves."""
+        """Do nothing: readings come by themselves."""
 
     def _where(self) -> Saying:
         settings = self.settings
@@ -131,11 +131,11 @@ class MqttSensor(Sensor):
         if not means(self._saying.topic, message.topic) or (message.retain and not self.settings.retained):
             return
         if odd := oddities(message.payload):
-            self.tell_once(f"what {message.topic} says is no JSON in part ({odd}): the rest of it is read")
+            self.tell_once(f"a message on {message.topic} is partly not JSON ({odd}): the rest is read")
         try:
             body = self.body(message.payload, self._saying.field)
         except BadPayload as error:
-            self.context.missed(f"what {message.topic} says is no reading: {error}")
+            self.context.missed(f"a message on {message.topic} is not a reading: {error}")
             return
         if body is not None and (self._pace is None or self._pace.due(self.context.now())):
             self.context.deliver(body)
@@ -146,21 +146,21 @@ class MqttSensor(Sensor):
         try:
             there = truth_of(_availability(message.payload, self._available.field))
         except BadPayload:
-            return  # it is for people then
+            return  # the topic is for people then
         if there is not None and there != self._there:
             self._there = there
             text = "the device is there again" if there else "the device says that it is offline"
             self.context.log("info" if there else "warning", text)
 
     def tell_once(self, text: str) -> None:
-        """Warn of something in the log, once: a device that is at odds with its settings would drown the rest."""
+        """Log a warning once: a device that does not fit its settings would flood the log."""
         if text not in self._told and len(self._told) < MOST_TOLD:
             self._told.add(text)
             self.context.log("warning", text)
 
 
 def _availability(payload: bytes, field: str) -> Any:
-    """Return what a device says of its being there: older versions of Zigbee2MQTT say it without JSON."""
+    """Return the availability in a payload: older versions of Zigbee2MQTT publish it without JSON."""
     try:
         return value_at(payload, field)
     except BadPayload:
@@ -168,10 +168,10 @@ def _availability(payload: bytes, field: str) -> Any:
 
 
 def refuse_virtual_time(context: DeviceContext) -> None:
-    """Raise PancakesError where the agent runs in virtual time: no broker waits for that."""
+    """Raise PancakesError if the agent runs in virtual time, which a broker cannot follow."""
     if context.virtual:
         raise PancakesError(
-            f"{context.agent}/device/{context.device} speaks to a broker, which knows no virtual time:"
+            f"{context.agent}/device/{context.device} needs a broker, which has no virtual time:"
             " give it a null driver there, such as null.temperature"
         )
 
@@ -184,10 +184,10 @@ class MqttTemperature(MqttSensor):
 
     @dataclass(kw_only=True)
     class Settings(MqttSensor.Settings):
-        """Where it speaks, and how.
+        """Where and how it publishes.
 
         Attributes:
-            unit: the unit in which it speaks; without it, C, and what a Tasmota says in its TempUnit.
+            unit: the unit of its readings; without it, C, or the TempUnit of a Tasmota.
         """
 
         unit: Literal["C", "F", "K", ""] = ""
@@ -211,12 +211,12 @@ class MqttMotion(MqttSensor):
 
     @dataclass(kw_only=True)
     class Settings(MqttSensor.Settings):
-        """Where it speaks, and how.
+        """Where and how it publishes.
 
         Attributes:
-            true_values: what it says for yes, such as `closed`, besides what always means yes (`on`, `open`, ...).
-            false_values: what it says for no.
-            invert: whether yes is told as no, and no as yes, as for a contact that says `true` when it is closed.
+            true_values: its values for yes, such as `closed`, besides those that always mean yes (`on`, `open`, ...).
+            false_values: its values for no.
+            invert: whether to swap yes and no, as for a contact that publishes `true` when it is closed.
         """
 
         true_values: list[str] = field(default_factory=list)
@@ -237,20 +237,20 @@ class MqttMotion(MqttSensor):
 
 
 class MqttBattery(MqttSensor):
-    """A battery (`mqtt.battery`). Its voltage is NaN where the device does not tell it."""
+    """A battery (`mqtt.battery`). Its voltage is NaN if the device does not publish it."""
 
     type = "battery"
     kind = "battery"
 
     @dataclass(kw_only=True)
     class Settings(MqttSensor.Settings):
-        """Where it speaks, and how.
+        """Where and how it publishes.
 
         Attributes:
-            full: what it says when the battery is full: 100 if it speaks in percent, 1 if in fractions. What lies
-                beyond, or below 0, is no reading.
-            voltage: the path of the voltage in its JSON; empty: it tells none.
-            voltage_unit: the unit of that; Zigbee2MQTT says mV.
+            full: its value when the battery is full: 100 for percent, 1 for fractions. Values beyond it, or below 0,
+                are not readings.
+            voltage: the path of the voltage in its JSON; empty: none.
+            voltage_unit: the unit of the voltage; Zigbee2MQTT uses mV.
         """
 
         full: Positive = 100.0
@@ -267,7 +267,7 @@ class MqttBattery(MqttSensor):
             raise BadPayload(str(error)) from None
 
     def _volts(self, payload: bytes) -> float:
-        """Return the voltage; NaN if it is not told, or is no number: the level is a reading all the same."""
+        """Return the voltage; NaN if it is missing or not a number: the level is still a reading."""
         settings = self.settings
         if not settings.voltage:
             return math.nan
@@ -287,12 +287,12 @@ class MqttDistance(MqttSensor):
 
     @dataclass(kw_only=True)
     class Settings(MqttSensor.Settings):
-        """Where it speaks, and how.
+        """Where and how it publishes.
 
         Attributes:
-            metres: how many metres one of its units is; a Tasmota speaks in centimetres (0.01).
-            max_range_m: its full range: what is farther away, or not heard (0 and below), is told as this.
-            bearing_rad: where it looks, in the frame of the body.
+            metres: metres for each of its units; a Tasmota uses centimetres (0.01).
+            max_range_m: its full range: also published for anything farther away or not heard (0 and below).
+            bearing_rad: its direction, in the frame of the body.
         """
 
         metres: Positive = 1.0
@@ -310,16 +310,16 @@ class MqttDistance(MqttSensor):
 
 
 class MqttPose(MqttSensor):
-    """A pose in JSON, as a tracker tells it (`mqtt.pose`)."""
+    """A pose in JSON, as a tracker publishes it (`mqtt.pose`)."""
 
     type = "pose"
 
     @dataclass(kw_only=True)
     class Settings(MqttSensor.Settings):
-        """Where it speaks, and how.
+        """Where and how it publishes.
 
         Attributes:
-            x: the path of x in its JSON, below `field` where that is set; metres.
+            x: the path of x in its JSON, below `field` if that is set; metres.
             y: the path of y.
             theta: the path of the heading; radians, counter-clockwise from the x axis.
         """
@@ -343,10 +343,10 @@ class MqttNumber(MqttSensor):
 
     @dataclass(kw_only=True)
     class Settings(MqttSensor.Settings):
-        """Where it speaks, and how.
+        """Where and how it publishes.
 
         Attributes:
-            unit: the unit, for people; it goes along with each reading.
+            unit: the unit, for people; it is part of each reading.
         """
 
         unit: str = ""

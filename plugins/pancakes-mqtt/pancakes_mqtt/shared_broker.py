@@ -1,4 +1,4 @@
-"""The connection that the devices of an agent share, and which of them speaks for it on `log`."""
+"""The connection that the devices of an agent share, and which of them logs for it."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ class SharedBroker:
 
     Args:
         settings: which broker.
-        client_id: the name of the connection where the settings say none.
-        say: says lines on `log` for the device that opens first.
+        client_id: the name of the connection, if the settings have none.
+        say: logs lines for the device that opens first.
     """
 
     def __init__(self, settings: BrokerSettings, client_id: str, say: Say) -> None:
@@ -28,28 +28,28 @@ class SharedBroker:
         self._connection.start()
 
     def join(self, device: str, say: Say) -> None:
-        """A device uses it from now on."""
+        """Add a device that uses it."""
         with self._lock:
             self._voices.pop("", None)
             self._voices[device] = say
 
     def leave(self, device: str, taker: Taker | None) -> None:
-        """A device does not use it any more, and hears nothing more."""
+        """Remove a device, which gets no more messages."""
         if taker is not None:
             self._connection.unlisten(taker)
         with self._lock:
             self._voices.pop(device, None)
 
     def listen(self, filter_: str, qos: int, taker: Taker) -> None:
-        """Give `taker` each message that the filter means, in the connection's thread."""
+        """Pass `taker` each message that matches the filter, in the connection's thread."""
         self._connection.listen(filter_, qos, taker)
 
     def publish(self, message: Message) -> bool:
-        """Send a message; returns False where it is lost."""
+        """Send a message; return False if it is lost."""
         return self._connection.publish(message)
 
     def close(self) -> None:
-        """End the connection, with all that waits sent before; does not wait for that."""
+        """Send what waits, then end the connection. Does not wait for that."""
         self._connection.close()
 
     def _say(self, level: str, text: str) -> None:
@@ -60,7 +60,7 @@ class SharedBroker:
 
 
 def shared_broker(context: DeviceContext, settings: BrokerSettings) -> SharedBroker:
-    """Return the connection that all devices of this agent with the same settings of a broker share."""
+    """Return the connection shared by all devices of this agent with the same broker settings."""
     return context.shared(
         f"mqtt {settings.connection_key}",
         lambda: SharedBroker(settings, client_id_of(context.agent, "devices"), context.log),

@@ -1,4 +1,4 @@
-"""Messages that wait, never more than fit. Any thread."""
+"""A bounded queue of messages. Any thread."""
 
 from __future__ import annotations
 
@@ -9,18 +9,18 @@ from typing import Final
 from pancakes_mqtt.message import Message
 
 MOST_BYTES: Final = 16 * 1024 * 1024
-"""So many bytes wait at the most, besides the number of messages; one message may always wait."""
+"""The most bytes that wait; one message may always wait, whatever its size."""
 
 
 class Spool:
     """Messages in the order in which they came.
 
-    Where there is no room, the oldest of those falls out that may be lost (QoS 0); a message that is promised (QoS 1
-    and 2) is refused where only such wait.
+    If there is no room, the oldest message that may be lost (QoS 0) is dropped; if only promised messages (QoS 1 and 2)
+    wait, a new promised one is refused.
 
     Args:
-        limit: how many wait at the most.
-        most_bytes: how many bytes they have at the most.
+        limit: the most messages that wait.
+        most_bytes: the most bytes that wait.
     """
 
     def __init__(self, limit: int, most_bytes: int = MOST_BYTES) -> None:
@@ -36,15 +36,15 @@ class Spool:
         self._open = True
 
     def put(self, message: Message) -> bool:
-        """Add a message; returns whether it waits now. Once it is closed, none does."""
+        """Add a message; return whether it waits now. After `close` none does."""
         with self._lock:
             return self._put(message)
 
     def put_patiently(self, message: Message, patience_s: float) -> bool:
-        """Add a message, and waits for room for so long where it is promised and there is none.
+        """Add a message; a promised one waits up to `patience_s` for room.
 
         Returns:
-            Whether it waits now. What found no room in time is not counted: it may be tried again.
+            Whether it waits now. A message without room in time is not counted: it may be tried again.
         """
         with self._room:
             if message.promised:
@@ -53,7 +53,7 @@ class Spool:
             return self._put(message)
 
     def take(self) -> Message | None:
-        """Take the oldest; None where nothing waits."""
+        """Take the oldest message; None if none waits."""
         with self._room:
             first = min((line for line in (self._promised, self._others) if line), key=_age, default=None)
             if first is None:
@@ -64,7 +64,7 @@ class Spool:
             return message
 
     def forget_unpromised(self) -> int:
-        """Forget what may be lost, and returns how much that was; it counts as fallen out."""
+        """Drop the messages that may be lost, and return how many; they count as dropped."""
         with self._room:
             count = len(self._others)
             self._bytes -= sum(message.weight for _, message in self._others)
@@ -74,7 +74,7 @@ class Spool:
             return count
 
     def close(self) -> None:
-        """Take nothing more; a thread that waits for room goes on."""
+        """Accept no more messages; a thread that waits for room continues."""
         with self._room:
             self._open = False
             self._room.notify_all()
@@ -85,7 +85,7 @@ class Spool:
 
     @property
     def fallen_out(self) -> int:
-        """How many messages have fallen out, or were refused, so far."""
+        """How many messages were dropped or refused so far."""
         with self._lock:
             return self._fallen_out
 

@@ -1,4 +1,4 @@
-"""What an agent listens to at a broker. Any thread."""
+"""The subscriptions of an agent at a broker. Any thread."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ Taker = Callable[[Message], None]
 
 
 class Subscriptions:
-    """The filters that are listened to, and how far the broker knows of them."""
+    """The filters that are listened to, and which of them the broker has."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -23,13 +23,13 @@ class Subscriptions:
         self._asked: dict[int, tuple[str, int]] = {}
 
     def add(self, filter_: str, qos: int, taker: Taker) -> None:
-        """Add one that listens to a filter."""
+        """Add a taker to a filter."""
         with self._lock:
             self._takers.setdefault(filter_, []).append((qos, taker))
-            self._known.discard(filter_)  # it is asked for again, so that what the broker keeps comes for this one too
+            self._known.discard(filter_)  # subscribe again, so that retained messages come for this taker too
 
     def remove(self, taker: Taker) -> None:
-        """Remove one from all filters."""
+        """Remove a taker from all filters."""
         with self._lock:
             for filter_ in list(self._takers):
                 left = [it for it in self._takers[filter_] if it[1] != taker]
@@ -39,9 +39,9 @@ class Subscriptions:
                     del self._takers[filter_]
 
     def connected(self, session: bool) -> None:
-        """A connection stands; `session`: the broker remembers what was asked for before."""
+        """Note a new connection; `session`: the broker remembers earlier subscriptions."""
         with self._lock:
-            # What the broker has refused, or not answered, it is asked for anew.
+            # Filters that the broker refused, or did not answer, are subscribed to again.
             self._known -= self._refused | {filter_ for filter_, _ in self._asked.values()}
             self._refused.clear()
             self._asked.clear()
@@ -49,7 +49,7 @@ class Subscriptions:
                 self._known.clear()
 
     def changes(self) -> tuple[dict[str, int], list[str]]:
-        """Return the filters that the broker is to be told of, with their QoS, and those that it is to forget."""
+        """Return the filters to subscribe to, with their QoS, and those to unsubscribe from."""
         with self._lock:
             wanted = {it: _qos(takers) for it, takers in self._takers.items() if it not in self._known}
             given_up = sorted(self._known - set(self._takers))
@@ -57,12 +57,12 @@ class Subscriptions:
             return wanted, given_up
 
     def asked(self, filter_: str, mid: int) -> None:
-        """The broker was asked for a filter, by the message of this number."""
+        """Note that a filter was subscribed to with the message of this number."""
         with self._lock:
             self._asked[mid] = (filter_, _qos(self._takers.get(filter_, [])))
 
     def answered(self, mid: int, refused: bool) -> tuple[str, int] | None:
-        """The broker has answered; returns the filter and the QoS that it was asked for."""
+        """Take the broker's answer; return the filter and the QoS of the subscription."""
         with self._lock:
             found = self._asked.pop(mid, None)
             if found is not None and refused:
@@ -70,7 +70,7 @@ class Subscriptions:
             return found
 
     def give(self, message: Message) -> bool:
-        """Give a message to all that listen to its topic, once each; returns whether there are any."""
+        """Pass a message to all takers of its topic, once each; return whether there are any."""
         with self._lock:
             found = [takers for filter_, takers in self._takers.items() if means(filter_, message.topic)]
         takers = list(dict.fromkeys(take for each in found for _, take in each))

@@ -11,7 +11,7 @@ from pancakes_mqtt.broker_settings import BrokerSettings
 
 
 class PromptContext(ssl.SSLContext):
-    """Shake hands at once, in a time of its own, and closes the socket where that fails: paho leaves it open."""
+    """Make the handshake at once, with its own time-out, and close the socket if it fails: paho leaves it open."""
 
     handshake_s = 3.0
 
@@ -32,7 +32,7 @@ class PromptContext(ssl.SSLContext):
 
 
 def tls_context(settings: BrokerSettings) -> PromptContext:
-    """Return how a broker is believed, and what it is shown.
+    """Return the TLS context: the trusted authorities and the own certificate.
 
     Raises:
         PancakesError: a file cannot be used.
@@ -51,5 +51,5 @@ def tls_context(settings: BrokerSettings) -> PromptContext:
             context.load_cert_chain(settings.certificate, settings.key)
     except OSError as error:
         named = f"{settings.certificate} and {settings.key}"
-        raise PancakesError(f"certificate, key: {named} do not go together: {error.strerror or error}") from None
+        raise PancakesError(f"certificate, key: {named} do not belong together: {error.strerror or error}") from None
     return context

@@ -1,4 +1,4 @@
-"""`Alarm`: one task that hears all nodes of the field, and raises the alarm. It moves; what it knows moves with it."""
+"""`Alarm`: one task that hears all nodes of the field and raises the alarm. It migrates with its state."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from pancakes_sensor_field.packets import AlarmCleared, AlarmRaised, Report
 class Alarm(Task):
     """Fuse the reports of all nodes into one judgement of the field.
 
-    Reports are addressed to it wherever it is, so none is lost while it moves. It publishes `AlarmRaised`, again and
+    Reports are addressed to it wherever it is, so none is lost while it migrates. It publishes `AlarmRaised` again and
     again while there is an alarm, and `AlarmCleared`, here and to all neighbours. Events: `alarm_raised`,
-    `alarm_cleared`, and every now and then `tally`, how many reports of each node have come and the number of the
-    last one.
+    `alarm_cleared`, and from time to time `tally`: how many reports of each node have come, and the number of the last
+    one.
     """
 
     requires = ("temperature", "motion")
 
     @dataclass
     class Settings(FusionSettings):
-        """What counts how much, and how often it gives account.
+        """The weights of the evidence, and how often it reports.
 
         Attributes:
-            repeat_s: an alarm is said again after so long, for as long as it lasts: a node may have slept.
+            repeat_s: how often a lasting alarm is published again: a node may have slept.
             tally_s: seconds between two tallies.
         """
 
@@ -52,7 +52,7 @@ class Alarm(Task):
 
     @every(hz=1)
     def look(self, tick: Tick) -> None:
-        """See whether evidence has grown old."""
+        """Check whether evidence is too old."""
         self._judge()
         if self.now() >= self._tally_s:
             self._tally_s += self.settings.tally_s

@@ -14,7 +14,7 @@ SIMULATED_LINES: Final = {"shed": "tcp://127.0.0.1:7522", "gate": "tcp://127.0.0
 
 
 def arrange(out: Path, live: bool) -> Mapping[str, Sequence[str]]:
-    """Say where the tiny nodes are: on a line that belongs to this run alone, or on simulated ones in virtual time."""
+    """Return where the tiny nodes are: on a line of only this run, or on simulated lines in virtual time."""
     if live:
         port = out / "state" / "shed.tty"
         return {
@@ -38,7 +38,7 @@ def _draw(run: Run, summary: Mapping[str, Any]) -> None:
 
 SENSOR_FIELD: Final = Demo(
     name="sensor-field",
-    title="a field of sensor nodes, two of them too small for an agent, and an alarm that moves",
+    title="a field of sensor nodes, two of them too small for an agent, and an alarm that migrates",
     agents=AGENTS,
     configs=Path(__file__).parent / "configs" / "sensor-field",
     duration_s=240.0,

@@ -1,8 +1,8 @@
-"""Drivers of a sensor field: lines with tiny nodes, the virtual devices that these become, and a simulated thermometer.
+"""Drivers of a sensor field: lines with tiny nodes, virtual devices for these nodes, and a simulated thermometer.
 
-A node that is too small for an agent is one of its gateway's devices, or several (paper §3.5). The gateway has a device
-for the line that the node speaks on, and a virtual one for each thing that the node measures: what the node `shed`
-says of its temperature becomes a reading of the device `shed_temperature`, and of motion one of `shed_motion`.
+A node that is too small for an agent becomes one or more devices of its gateway (paper §3.5). The gateway has a device
+for the line of the node, and a virtual one for each thing that the node measures: the temperature of the node `shed`
+is a reading of the device `shed_temperature`, and its motion one of `shed_motion`.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ PeriodS = Annotated[float, Meta(ge=0.1, le=3276.7)]
 
 
 class LineNodes(Sensor):
-    """A line with tiny nodes; a kind of line is a subclass.
+    """A line with tiny nodes; each kind of line is a subclass.
 
-    Its own readings say how well they are heard. A `ReportPeriod` that is sent to it goes on to the nodes.
+    Its own readings report how well the nodes are heard. It passes a `ReportPeriod` on to the nodes.
     """
 
     type = "sensor_field.line"
@@ -44,10 +44,10 @@ class LineNodes(Sensor):
         """The nodes on a line.
 
         Attributes:
-            nodes: the number of each tiny node, by the name that it shall have here.
-            period_s: the report period that they are to have, in seconds; without it, what each was made with.
-            line_silent_s: after so long without a byte, in mission seconds, the line is opened again: its other end
-                may be gone without a word. Longer than the report period.
+            nodes: the number of each tiny node, by its name here.
+            period_s: the report period of the nodes, in seconds; without it, their own.
+            line_silent_s: after this time without a byte, in mission seconds, the line is opened again, because its
+                other end may be gone. It must be longer than the report period.
         """
 
         nodes: dict[str, NodeNumber] = field(kw_only=True)
@@ -75,7 +75,7 @@ class LineNodes(Sensor):
 
     @abstractmethod
     def make_line(self) -> Line:
-        """Return the line that the settings mean."""
+        """Return the line in the settings."""
 
     @abstractmethod
     def line_name(self) -> str:
@@ -92,7 +92,7 @@ class LineNodes(Sensor):
         self._forget()
 
     def sample(self) -> LineReport:
-        """Say how well the nodes are heard."""
+        """Report how well the nodes are heard."""
         self._look_for_silence()
         station = self._station
         if station.crc_errors > self._told_errors:
@@ -119,7 +119,7 @@ class LineNodes(Sensor):
             )
         elif not self._station.want_period(wish.period_s, wish.node):
             known = ", ".join(self.settings.nodes)
-            self.context.log("warning", f"{packet.source} means a tiny node {wish.node!r}; there are {known}")
+            self.context.log("warning", f"{packet.source} names a tiny node {wish.node!r}; the nodes are {known}")
 
     # From the line, in its thread ------------------------------------------------------------------------------
 
@@ -140,7 +140,7 @@ class LineNodes(Sensor):
     def _found(self) -> None:
         self._connected = True
         self._complained = False
-        if not self._silent:  # else it was opened again for its silence, which was told
+        if not self._silent:  # otherwise it was opened again after silence, which was logged
             self.context.log("info", f"listens to {self.line_name()}")
 
     def _lost(self, reason: str) -> None:
@@ -178,7 +178,7 @@ class LineNodes(Sensor):
         self._heard_s = self.context.now()
         if self._silent:
             self._silent = False
-            self.context.log("info", f"{self.line_name()} speaks again")
+            self.context.log("info", f"{self.line_name()} sends again")
         heard = self._station.received(data)
         if whole:
             self._station.ended()
@@ -194,10 +194,10 @@ class LineNodes(Sensor):
             try:
                 reply(heard.answer)
             except OSError:
-                pass  # the line has gone since; its thread says so, and the node is told when it next speaks
+                pass  # the line is gone, which its thread logs; the node is told when it next sends
 
     def _show(self, reading: Reading) -> None:
-        """Hand a reading to the virtual device that stands for it."""
+        """Pass a reading to its virtual device."""
         body: Any
         if reading.kind == TEMPERATURE:
             device, body = f"{reading.node}_temperature", Temperature(reading.value)
@@ -211,7 +211,7 @@ class SerialNodes(LineNodes):
 
     @dataclass
     class Settings(LineNodes.Settings):
-        """Where they are.
+        """The serial port.
 
         Attributes:
             port: the port's file, such as `/dev/ttyUSB0`.
@@ -240,7 +240,7 @@ class UdpNodes(LineNodes):
 
     @dataclass
     class Settings(LineNodes.Settings):
-        """Where they send to.
+        """The UDP port.
 
         Attributes:
             listen: the address that they send to, such as `udp://127.0.0.1:7421`; port 0 takes a free one.
@@ -251,7 +251,7 @@ class UdpNodes(LineNodes):
         def __post_init__(self) -> None:
             LineNodes.Settings.__post_init__(self)
             if parse_address(self.listen).scheme != "udp":
-                raise ValueError(f"listen = {self.listen!r} is no address such as 'udp://127.0.0.1:7421'")
+                raise ValueError(f"listen = {self.listen!r} is not an address such as 'udp://127.0.0.1:7421'")
 
     def make_line(self) -> Line:
         address = parse_address(self.settings.listen)
@@ -269,10 +269,10 @@ class TcpNodes(LineNodes):
 
     @dataclass
     class Settings(LineNodes.Settings):
-        """Where they are.
+        """The address of the line.
 
         Attributes:
-            address: where the connection is taken, such as `tcp://192.168.1.20:4001`.
+            address: where to connect to, such as `tcp://192.168.1.20:4001`.
         """
 
         address: str
@@ -280,7 +280,7 @@ class TcpNodes(LineNodes):
         def __post_init__(self) -> None:
             LineNodes.Settings.__post_init__(self)
             if parse_address(self.address).scheme != "tcp":
-                raise ValueError(f"address = {self.address!r} is no address such as 'tcp://192.168.1.20:4001'")
+                raise ValueError(f"address = {self.address!r} is not an address such as 'tcp://192.168.1.20:4001'")
 
     def make_line(self) -> Line:
         return TcpLine(self.context.transport, self.settings.address)
@@ -290,14 +290,14 @@ class TcpNodes(LineNodes):
 
 
 class TinySensor(NetworkSensor):
-    """A virtual device that stands for what a tiny node measures; what that is, a subclass says."""
+    """A virtual device for what a tiny node measures; a subclass for each kind of reading."""
 
-    networked = False  # the line is this agent's own: that it sleeps on the mesh does no harm
+    networked = False  # the line is this agent's own, so it may sleep on the mesh
     silent_s = 30.0
 
 
 class TinyTemperature(TinySensor):
-    """The temperature that a tiny node tells (`sensor_field.tiny_temperature`)."""
+    """The temperature that a tiny node measures (`sensor_field.tiny_temperature`)."""
 
     type = "temperature"
 
@@ -311,17 +311,17 @@ class TinyMotion(TinySensor):
 class TinySiren(Actuator):
     """The siren of a tiny node (`sensor_field.tiny_siren`).
 
-    Each command says for how long it is good, and the node falls silent by itself then.
+    Each command has a time to live, after which the node falls silent by itself.
     """
 
     type = "sensor_field.siren"
 
     @dataclass
     class Settings:
-        """Which siren.
+        """The tiny node with the siren.
 
         Attributes:
-            node: the name of the tiny node, as the settings of its line say it.
+            node: the name of the tiny node in the settings of its line.
             number: its number.
         """
 
@@ -336,11 +336,11 @@ class TinySiren(Actuator):
         self._unheard = False
 
     def apply(self, command: Siren, ttl_s: float, source: str) -> None:
-        # Rather too short than too long: where the right to command it ends, another agent may have it.
+        # Rather too short than too long: when the right to command it ends, another agent may have it.
         self._sound(min(int(10 * ttl_s + 1e-6), 32767) if command.sounds else 0)
 
     def holds_by_itself(self, hold_after_s: float) -> float:
-        """The node counts each command's time to live."""
+        """Return the hold time: the node counts each command's time to live."""
         return hold_after_s
 
     def hold(self) -> None:
@@ -351,9 +351,7 @@ class TinySiren(Actuator):
         node = self.settings.node
         unheard = not self._wires.send(node, encode(Frame(self.settings.number, SIREN, 0, tenths)))
         if unheard and tenths and not self._unheard:
-            self.context.log(
-                "warning", f"the siren of {node} is not commanded: the node has not spoken on its line yet"
-            )
+            self.context.log("warning", f"the siren of {node} is not commanded: the node has not sent on its line yet")
         self._unheard = unheard and (self._unheard or tenths > 0)
 
 

@@ -6,13 +6,13 @@ import math
 
 
 class Duty:
-    """Whether something happens at a node: so much for each observer that sees it, and for a while after the last.
+    """Whether a node is busy: while an observer sees something happen, and for a while after.
 
     Args:
-        linger_s: how long a node stays busy when nothing happens any more.
+        linger_s: how long a node stays busy after the last event.
 
     Attributes:
-        busy: whether it is, as `decide` last found.
+        busy: whether it is busy, by the last `decide`.
     """
 
     def __init__(self, linger_s: float) -> None:
@@ -27,7 +27,7 @@ class Duty:
         return list(self._observers)
 
     def noticed(self, observer: str, busy: bool, now_s: float) -> None:
-        """An observer says whether something happens."""
+        """Take an observer's report of whether something happens."""
         if busy:
             self._observers[observer] = None
         elif observer in self._observers:
@@ -35,15 +35,15 @@ class Duty:
             self.stirred(now_s)
 
     def stirred(self, now_s: float) -> None:
-        """Something happens just now, such as an alarm elsewhere, whose end no observer will say."""
+        """Note a momentary event, such as an alarm elsewhere, whose end no observer reports."""
         self._calm_s = max(self._calm_s, now_s + self.linger_s)
 
     def decide(self, now_s: float) -> bool:
-        """Works out whether the node is busy at `now_s`; returns whether that has changed."""
+        """Decide whether the node is busy at `now_s`; return whether that has changed."""
         busy = bool(self._observers) or now_s < self._calm_s - 1e-9
         changed, self.busy = busy != self.busy, busy
         return changed
 
     def calm_in(self, now_s: float) -> float | None:
-        """Return in how many seconds it will be calm if nothing else happens; None: not by itself, or it is."""
+        """Return in how many seconds it will be calm if nothing else happens; None: not by itself, or already calm."""
         return None if self._observers or not self.busy else max(0.0, self._calm_s - now_s)

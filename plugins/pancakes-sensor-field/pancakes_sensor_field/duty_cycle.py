@@ -47,21 +47,21 @@ class Periods:
 
 
 class DutyCycle(Task):
-    """Save an agent's power, by control packets that any client could send.
+    """Save an agent's power with control packets that any client could send.
 
     While nothing happens, tasks and devices run at their low rates, tiny nodes report seldom, and the Network Service
-    sleeps most of the time. When something does (`sensor_field.activity` of a task here, or an alarm), all that ends at
-    once, for as long as it happens and `linger_s` longer. Event: `duty`.
+    sleeps most of the time. When something does (`sensor_field.activity` of a task here, or an alarm), all of that ends
+    at once, until `linger_s` after it is over. Event: `duty`.
     """
 
     @dataclass
     class Settings:
-        """What is saved.
+        """What to turn down.
 
         Attributes:
             rates: by target, as `service/task`: `device/motion`, `client/Watch`, `network/Discovery`.
-            lines: by device: the lines whose tiny nodes are told how often to report.
-            linger_s: how long after the last that happened all stays awake.
+            lines: by device: the report periods of the tiny nodes on each line.
+            linger_s: how long everything stays awake after the last event.
             sleep_s: how long the Network Service sleeps at a time; 0: never.
             awake_s: how long it is awake in between.
             hosts: tasks that must stay in reach: while one of them runs here, the Network Service does not sleep.
@@ -93,20 +93,20 @@ class DutyCycle(Task):
 
     @on(SYSTEM, Activity)
     def happens(self, packet: Packet) -> None:
-        """Something happens at a node here, or no more."""
+        """Take a report that something happens at a node here, or no longer does."""
         if agent_of(packet.source) == self.agent:
             self._duty.noticed(packet.body.node, packet.body.busy, self.now())
             self._decide(packet.body.node)
 
     @on(SYSTEM, AlarmRaised)
     def alarmed(self, packet: Packet) -> None:
-        """There is an alarm in the field, which is said again and again for as long as there is."""
+        """Take an alarm, which is repeated while it lasts."""
         self._duty.stirred(self.now())
         self._decide(f"alarm {packet.body.number}")
 
     @on(LOG, Event)
     def told(self, packet: Packet) -> None:
-        """Learn when the Network Service falls asleep or awakes, and when a task comes that must stay in reach."""
+        """Note when the Network Service sleeps or wakes, and when a task arrives that must stay in reach."""
         event: Event = packet.body
         if agent_of(packet.source) != self.agent:
             return
@@ -119,7 +119,7 @@ class DutyCycle(Task):
     # What is done about it -------------------------------------------------------------------------------------
 
     def _decide(self, because: str = "") -> None:
-        """See whether the node is busy now, and when that has to be looked at again."""
+        """Decide whether the node is busy now, and when to check again."""
         if self._duty.decide(self.now()):
             self.event("duty", busy=self._duty.busy, because=because or "nothing happens")
             self._apply()
@@ -131,7 +131,7 @@ class DutyCycle(Task):
             self._look = self.after(calm_in_s, self._decide)
 
     def _apply(self) -> None:
-        """Set all rates, and sees to the network."""
+        """Set all rates, and let the network sleep or wake."""
         busy = self._duty.busy
         for target, rates in self.settings.rates.items():
             self._ask(Reschedule(target, rates.busy_hz if busy else rates.quiet_hz), target)
@@ -177,7 +177,7 @@ class DutyCycle(Task):
 
     @on(SYSCTRL, Reply, addressed=True)
     def answered(self, packet: Packet) -> None:
-        """Learn what could be done, and says what could not."""
+        """Take the replies, and log what could not be done."""
         seq = packet.cause[1] if packet.cause is not None else 0
         reply: Reply = packet.body
         if seq == self._describe and reply.ok:
@@ -187,7 +187,7 @@ class DutyCycle(Task):
         if target is None or reply.ok:
             return
         if target == NETWORK:
-            # It refuses while a task is on its way, or it has woken up by itself meanwhile: a matter of time.
+            # It refuses while a task migrates, or it has woken up by itself meanwhile: both pass.
             self.log("debug", f"the network did not change: {reply.reason}")
             self._rest_later()
         else:

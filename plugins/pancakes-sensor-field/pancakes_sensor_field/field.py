@@ -1,4 +1,4 @@
-"""The task that is a simulated field (`sensor_field.Field`): it answers the hardware bus, and tells the truth.
+"""The task that is a simulated field (`sensor_field.Field`): it answers the hardware bus, and publishes the truth.
 
 It runs in an agent of the role `environment`, as `sim.world` does, and on the same bus: a node's `sim.motion` and
 `sim.battery` and its `sensor_field.temperature` ask here.
@@ -30,13 +30,12 @@ EMPTY_V: Final = 3.3
 class Field(Task):
     """The simulated field.
 
-    Publishes `world_state` and `sensor_field.truth` on its own `system`, 5 times a second unless `rate_hz` says
-    otherwise.
+    It publishes `world_state` and `sensor_field.truth` on its own `system`, 5 times a second unless `rate_hz` is set.
     """
 
     @dataclass
     class Settings(SceneSettings):
-        """What there is, and how it is reached.
+        """The scene, and how to reach it.
 
         Attributes:
             bus: address at which simulated devices reach it.
@@ -67,11 +66,11 @@ class Field(Task):
         self.on_stop()
 
     def on_settings(self) -> None:
-        self.log("warning", "a field that is simulated keeps what it has: its new settings count from its next start")
+        self.log("warning", "a simulated field keeps its settings until its next start")
 
     @every(hz=5)
     def tell(self, tick: Tick) -> None:
-        """Publish how the field is."""
+        """Publish the state of the field."""
         self._advance()
         now_s = self._now_s
         nodes = tuple(self._truth(name, now_s) for name in self.settings.nodes)
@@ -98,7 +97,7 @@ class Field(Task):
         return BodyState(name, "sensor", node.x_m, node.y_m, 0.0, 0.0, 0.0, volts, spent=spent)
 
     def _advance(self) -> None:
-        """Let the batteries pay for the time up to now."""
+        """Drain the batteries for the time up to now."""
         now_s = self.now()
         for battery in self._batteries.values():
             battery.passed(now_s - self._now_s, 0.0)
@@ -125,10 +124,10 @@ class Field(Task):
                 self._hear_of_radio(request)
                 value = msgspec.to_builtins(self._sample(request.body, request.type))
                 return Reading(request.device, request.type, value)
-        raise PancakesError(f"nothing in a simulated field has wheels, and {request.body} is no robot")
+        raise PancakesError(f"nothing in a simulated field has wheels, and {request.body} is not a robot")
 
     def _hear_of_radio(self, request: Sample) -> None:
-        """A node's battery is asked, and with that it says what its radio does."""
+        """Take what a node reports about its radio when it asks for its battery."""
         battery = self._batteries.get(request.body)
         if battery is not None and request.packets_sent is not None:
             battery.packets_sent(request.packets_sent)

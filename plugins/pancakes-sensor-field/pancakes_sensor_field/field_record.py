@@ -1,4 +1,4 @@
-"""The record of how a simulated field really was (`sensor_field.FieldRecord`): a row for each node, each second."""
+"""Record the true state of a simulated field (`sensor_field.FieldRecord`): a row for each node, each second."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def row(time_s: float, node: NodeTruth) -> str:
 
 
 class FieldRecord(RowFile):
-    """Write how a field is to a file. Needs the task `sensor_field.Field` on the same agent."""
+    """Write the state of a field to a file. Needs the task `sensor_field.Field` on the same agent."""
 
     header = HEADER
 
@@ -35,7 +35,7 @@ class FieldRecord(RowFile):
         """Where to, and how often.
 
         Attributes:
-            path: the file; one that exists is written anew when the task starts.
+            path: the file; one that exists is overwritten when the task starts.
             rows_hz: how often each node gets a row.
         """
 
@@ -46,6 +46,6 @@ class FieldRecord(RowFile):
 
     @on(SYSTEM, FieldTruth)
     def passed(self, packet: Packet) -> None:
-        """Hear of one moment."""
+        """Record one moment."""
         truth: FieldTruth = packet.body
         self.write(truth.time_s, lambda: [row(truth.time_s, node) for node in truth.nodes])

@@ -68,7 +68,7 @@ def draw_sensor_field(run: Run, summary: Mapping[str, Any]) -> None:
 
 
 def _map(axes: Axes, field: Table, colours: Mapping[str, str]) -> None:
-    """Draw where nodes stand, where persons walk, and what burns."""
+    """Draw the nodes, the paths of persons, and the fires."""
     from matplotlib.patches import Circle
 
     axes.set_aspect("equal")
@@ -108,7 +108,7 @@ def _map(axes: Axes, field: Table, colours: Mapping[str, str]) -> None:
 
 
 def _energy(axes: Axes, energy: Mapping[str, Table], colours: Mapping[str, str]) -> None:
-    """Draw what each node that sleeps has used, beside what it would have used always on."""
+    """Draw the energy that each sleeping node used, and what it would have used always on."""
     for place, (name, used) in enumerate(energy.items()):
         axes.barh(place, used["always_on_j"], 0.62, color="none", ec=_GREY, lw=0.8, ls="--")
         axes.barh(place, used["spent_j"], 0.62, color=colours[name])
@@ -170,7 +170,7 @@ def _awake(axes: Axes, record: Record, colours: Mapping[str, str], summary: Tabl
 def _batteries(
     axes: Axes, record: Record, colours: Mapping[str, str], summary: Table, rule: Table, end_s: float
 ) -> None:
-    """Draw what is left of each battery, and the level at which the alarm moves."""
+    """Draw what is left of each battery, and the level at which the alarm migrates."""
     labels: list[tuple[float, list[str]]] = []
     for name, rows in record.nodes.items():
         levels = [(row.t_s, 100.0 * row.level) for row in rows if row.level is not None]
@@ -210,7 +210,7 @@ def _alarms(axes: Axes, summary: Table, end_s: float, named: bool = False) -> No
 
 
 def _spans(rows: Sequence[Row], holds: Sequence[bool]) -> list[tuple[float, float]]:
-    """Return (start, duration) of the times in which something holds."""
+    """Return (start, duration) of the times in which a condition holds."""
     spans: list[tuple[float, float]] = []
     since_s: float | None = None
     for row, now in zip(rows, holds, strict=True):

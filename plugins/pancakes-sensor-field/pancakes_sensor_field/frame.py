@@ -10,11 +10,11 @@
 |---|---|---|
 | 1 | its temperature, in hundredths of a degree Celsius | |
 | 2 | 1: something moves; 0: nothing does | |
-| 3 | its report period, in tenths of a second | the report period that it is to have |
-| 4 | for how long its siren sounds yet, in tenths of a second; 0: it is silent | for how long it is to sound |
+| 3 | its report period, in tenths of a second | its new report period |
+| 4 | for how long its siren still sounds, in tenths of a second; 0: it is silent | for how long to sound |
 
 A node counts its frames in `number`: 0 for the first after its start, then 1 to 255 over and over. A node listens just
-after it has sent, as its radio costs power; what is for it is sent then, with the number of the frame that it answers.
+after it has sent, as its radio costs power; its answers are sent then, with the number of the frame that they answer.
 A node with a siren is on mains and listens all the time; it falls silent by itself when no other command comes in time.
 """
 
@@ -39,11 +39,11 @@ _LAYOUT: Final = struct.Struct(">BBBhH")
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """What eight bytes say.
+    """The contents of eight bytes.
 
     Attributes:
         node: the tiny node's number, 1 to 254.
-        kind: what the value is, 0 to 255; see the module's text.
+        kind: what the value is, 0 to 255; see the module's docstring.
         number: the frame's number, 0 to 255.
         value: -32768 to 32767.
     """
@@ -70,16 +70,15 @@ def encode(frame: Frame) -> bytes:
 
 
 class Decoder:
-    """Find the frames in a stream of bytes, in which others may lie and some may be wrong.
+    """Find the frames in a stream of bytes, which may contain other and wrong bytes.
 
-    After anything that is no frame it looks for the next sync byte, also among the bytes that it took for a frame: so
-    it does not lose a good frame that lies in one piece behind the bad one, unless the good one's first bytes happen to
-    be those that the bad one lacks.
+    After bytes that are not a frame it looks for the next sync byte, also among those bytes. So it does not lose a good
+    frame that follows a bad one in one piece, unless the first bytes of the good one happen to complete the bad one.
 
     Attributes:
         frames: how many frames it has found.
         crc_errors: how often a sync byte began something whose CRC was wrong.
-        skipped_bytes: how many bytes belonged to no frame.
+        skipped_bytes: how many bytes did not belong to a frame.
     """
 
     def __init__(self) -> None:
@@ -89,7 +88,7 @@ class Decoder:
         self._waiting = bytearray()
 
     def feed(self, data: bytes) -> list[Frame]:
-        """Take bytes, however the line cut them, and returns the frames that are now complete."""
+        """Take bytes, in any pieces, and return the frames that are now complete."""
         waiting = self._waiting
         waiting += data
         found: list[Frame] = []
@@ -108,7 +107,7 @@ class Decoder:
             found.append(Frame(node, kind, number, value))
 
     def end(self) -> None:
-        """Forget what is incomplete: a datagram has ended, or the line was lost."""
+        """Drop an incomplete frame: a datagram has ended, or the line was lost."""
         self._skip(len(self._waiting))
 
     def _skip(self, count: int) -> None:

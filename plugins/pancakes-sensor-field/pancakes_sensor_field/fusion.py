@@ -1,4 +1,4 @@
-"""What the reports of all nodes amount to: the weight of the evidence, and whether there is an alarm. Pure."""
+"""Fuse the reports of all nodes: the weight of the evidence, and whether there is an alarm. Pure."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from pancakes_sensor_field.packets import Report
 
 @dataclass
 class FusionSettings:
-    """What counts how much.
+    """The weights of the evidence.
 
     Attributes:
         motion_weight: a node that has sensed motion within `window_s`.
         heat_weight: a node whose temperature is `hot_c` or more, or was within `window_s`.
         hot_c: see there.
         window_s: how long evidence counts.
-        raise_at: the weight at which there is an alarm. With the defaults one animal, or one node in the sun, is none;
-            motion and heat together are, or motion at three nodes.
-        clear_after_s: an alarm is over when the evidence has weighed less for so long.
+        raise_at: the weight at which there is an alarm. With the defaults, one animal or one node in the sun does not
+            raise it; motion and heat together do, or motion at three nodes.
+        clear_after_s: an alarm is over when the evidence has weighed less for this time.
     """
 
     motion_weight: NotNegative = 1.0
@@ -35,8 +35,8 @@ class NodeMemory:
     """What is remembered of one node.
 
     Attributes:
-        received: how many reports of it have come.
-        highest: the number of the last of them; the same, where none was lost and none came twice.
+        received: how many of its reports have come.
+        highest: the number of the last of them; equal to `received` if none was lost and none came twice.
         heard_s: when it was made.
         celsius: the temperature in it.
         moved_s: when the node last sensed motion; None: never.
@@ -55,7 +55,7 @@ class NodeMemory:
 
 @dataclass
 class Situation:
-    """How the field is, as far as reports have told.
+    """The state of the field, by the reports so far.
 
     Attributes:
         nodes: each node, by name.
@@ -72,10 +72,10 @@ class Situation:
 
 @dataclass(frozen=True, slots=True)
 class Evidence:
-    """What counts at one moment.
+    """The evidence at one moment.
 
     Attributes:
-        weight: all of it together.
+        weight: the total weight.
         moving: nodes that count for motion.
         hot: nodes that count for heat.
     """
@@ -86,10 +86,10 @@ class Evidence:
 
 
 def remember(situation: Situation, report: Report, made_s: float, settings: FusionSettings) -> None:
-    """Take a report into account.
+    """Add a report to what is known.
 
     Args:
-        situation: what is known; it is changed.
+        situation: what is known; changed in place.
         report: the report.
         made_s: mission time at which it was made: it may have waited for its node's network.
         settings: what counts.
@@ -121,7 +121,7 @@ def judge(situation: Situation, now_s: float, settings: FusionSettings) -> tuple
     """Decide whether there is an alarm; `situation` is changed.
 
     Returns:
-        What counts, and `raised`, `cleared`, or an empty string where nothing has changed.
+        The evidence, and `raised`, `cleared`, or an empty string if nothing has changed.
     """
     evidence = weigh(situation, now_s, settings)
     if evidence.weight >= settings.raise_at:

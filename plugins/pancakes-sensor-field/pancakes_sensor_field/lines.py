@@ -1,6 +1,6 @@
-"""Lines that tiny nodes speak on: a serial port, a UDP port, a serial port at the far end of a TCP connection.
+"""Lines with tiny nodes: a serial port, a UDP port, a serial port at the far end of a TCP connection.
 
-A line looks after itself: what is not there, or goes away, is tried again until it is there. It says so once.
+A line recovers by itself: if it is missing or lost, it is tried again until it is there. It reports that once.
 """
 
 from __future__ import annotations
@@ -16,25 +16,25 @@ from pancakes.mesh.transport import Connection, ConnectionHandler, Scheduled, Tr
 
 FIRST_PAUSE_S: Final = 0.2
 LONGEST_PAUSE_S: Final = 5.0
-"""How long, in host time, a line that is not there is left alone before it is tried again."""
+"""The pause, in host time, before a missing line is tried again."""
 
 Reply = Callable[[bytes], object]
-"""Sends bytes back to the node that has just spoken. They are lost where the line is gone."""
+"""Sends bytes back to the node that has just sent. They are lost if the line is gone."""
 
 
 class Listener(Protocol):
-    """Hear a line. Called in the line's thread."""
+    """Take what comes on a line. Called in the line's thread."""
 
     def found(self) -> None:
         """The line is there."""
         ...
 
     def heard(self, data: bytes, reply: Reply, whole: bool) -> None:
-        """Bytes have come in; `whole` says that they are a datagram, which shares no frame with the next."""
+        """Bytes have come in; `whole`: they are a datagram, which shares no frame with the next."""
         ...
 
     def lost(self, reason: str) -> None:
-        """The line is not there, or is there no more; also said of each try that failed."""
+        """The line is missing or lost; also called after each failed attempt."""
         ...
 
 
@@ -47,7 +47,7 @@ class Line(ABC):
 
     @abstractmethod
     def close(self) -> None:
-        """Listen no more. What is on its way may still be heard."""
+        """Stop listening. Bytes on their way may still be delivered."""
 
 
 class _ThreadLine(Line):
@@ -77,7 +77,7 @@ class _ThreadLine(Line):
 
     @abstractmethod
     def _attend(self, listener: Listener) -> None:
-        """Open the line and hears it until it is closed or breaks. Raises OSError."""
+        """Open the line and listen until it is closed or breaks. Raises OSError."""
 
 
 class SerialLine(_ThreadLine):

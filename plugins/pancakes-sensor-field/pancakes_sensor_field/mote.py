@@ -1,6 +1,6 @@
-"""What a tiny node does: it senses, and every now and then says so. Pure, and without anything of Pancakes.
+"""The logic of a tiny node: it senses, and reports from time to time. Pure, and without imports of Pancakes.
 
-The program `tiny_node` and the simulated tiny nodes are this, with a clock and a line.
+The program `tiny_node` and the simulated tiny nodes use it, with a clock and a line.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ _COLDEST, _HOTTEST = -327.68, 327.67
 class Mote:
     """One tiny node.
 
-    It tells its temperature and whether something moves once in each report period; and at once when something begins
-    or ceases to move, as a motion sensor wakes the processor. When its period is changed it says that it has it.
+    It reports its temperature and whether something moves once in each report period, and at once when something begins
+    or ceases to move, because a motion sensor wakes the processor. It confirms a change of its period.
 
-    Its siren sounds for as long as a command says, and then falls silent by itself: the dead-man switch that still
-    works where its gateway is stopped or dead.
+    Its siren sounds for the time in the command, and then falls silent by itself: a dead-man switch that still works if
+    its gateway is paused or dead.
 
     Args:
         node: its number.
@@ -41,7 +41,7 @@ class Mote:
 
     @property
     def next_s(self) -> float:
-        """When it will speak next if nothing happens until then."""
+        """When it will send next if nothing happens before."""
         return min(self._report_s, self._silent_s)
 
     @property
@@ -50,19 +50,19 @@ class Mote:
         return self._silent_s < math.inf
 
     def start(self, now_s: float) -> bytes:
-        """Starts, or starts again after its power was gone. Returns what it sends."""
+        """Start, also again after a power cut. Return what it sends."""
         self._number = -1
         self._report_s, self._silent_s = now_s + self._period_s, math.inf
         return self._say(PERIOD, round(self._period_s * 10))
 
     def sense(self, celsius: float, moving: bool) -> bytes:
-        """Its sensors say something. Returns what it sends at once."""
+        """Take readings of its sensors. Return what it sends at once."""
         changed = moving != self._moving
         self._celsius, self._moving = celsius, moving
         return self._say(MOTION, int(moving)) if changed else b""
 
     def tick(self, now_s: float) -> bytes:
-        """Time has passed. Returns what it sends."""
+        """Note that time has passed. Return what it sends."""
         said = b""
         if now_s >= self._silent_s:
             self._silent_s = math.inf
@@ -76,7 +76,7 @@ class Mote:
         return said + self._say(TEMPERATURE, hundredths) + self._say(MOTION, int(self._moving))
 
     def received(self, data: bytes, now_s: float) -> bytes:
-        """Something came on its line. Returns what it sends."""
+        """Take bytes from its line. Return what it sends."""
         said = b""
         for frame in self._decoder.feed(data):
             if frame.node == self._node and frame.kind == PERIOD and frame.value > 0:
@@ -94,7 +94,7 @@ class Mote:
 
 
 def spoilt(data: bytes) -> bytes:
-    """Return frames as a bad line would bring them: one bit of the first value is wrong."""
+    """Return frames as a bad line would deliver them: one bit of the first value is wrong."""
     return data[:5] + bytes((data[5] ^ 0x10,)) + data[6:]
 
 

@@ -1,4 +1,4 @@
-"""What the tasks and devices of a sensor field say to each other."""
+"""The packets of the tasks and devices of a sensor field."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from pancakes.sim.world_state import Spent
 
 @packet_type("sensor_field.line")
 class LineReport(msgspec.Struct, frozen=True):
-    """How well the tiny nodes of a line are heard: a reading of such a device. It counts from the device's start.
+    """How well the tiny nodes of a line are heard: a reading of its device. It counts from the device's start.
 
     Attributes:
-        connected: whether the line is there.
-        frames: frames that came whole.
+        connected: whether the line is open.
+        frames: frames that came complete.
         crc_errors: how often a frame began whose CRC was wrong.
-        skipped_bytes: bytes that belonged to no frame.
+        skipped_bytes: bytes that did not belong to a frame.
         missed: frames that never came.
         repeated: frames that came twice, or too late.
         unknown: frames of nodes that the settings do not name, or of an unknown kind.
@@ -33,11 +33,11 @@ class LineReport(msgspec.Struct, frozen=True):
 
 @packet_type("sensor_field.report_period")
 class ReportPeriod(msgspec.Struct, frozen=True):
-    """Ask tiny nodes to report in another period; sent on `system` to the device of their line.
+    """A request for another report period; sent on `system` to the device of the tiny nodes' line.
 
     Attributes:
         period_s: seconds between two reports, 0.1 to 3276.7.
-        node: which one; empty: all of that line.
+        node: which one; empty: all on that line.
     """
 
     period_s: float
@@ -53,7 +53,7 @@ class Siren(msgspec.Struct, frozen=True):
 
 @packet_type("sensor_field.activity")
 class Activity(msgspec.Struct, frozen=True):
-    """Something happens at a node, or no more."""
+    """Whether something happens at a node."""
 
     node: str
     busy: bool
@@ -61,12 +61,12 @@ class Activity(msgspec.Struct, frozen=True):
 
 @packet_type("sensor_field.report")
 class Report(msgspec.Struct, frozen=True):
-    """What a node tells the alarm.
+    """The report of a node to the alarm.
 
     Attributes:
         node: the node.
-        number: how many reports it has made with this one.
-        celsius: its temperature; None where it has not measured any yet.
+        number: the number of its reports, this one included.
+        celsius: its temperature; None if it has not measured any yet.
         moving: whether something moves before it.
     """
 
@@ -78,11 +78,11 @@ class Report(msgspec.Struct, frozen=True):
 
 @packet_type("sensor_field.alarm_raised")
 class AlarmRaised(msgspec.Struct, frozen=True):
-    """The field is alarmed.
+    """An alarm in the field.
 
     Attributes:
         number: the alarm's number, from 1.
-        weight: what the evidence weighs.
+        weight: the weight of the evidence.
         moving: nodes that have sensed motion.
         hot: nodes that are hot.
     """
@@ -95,21 +95,21 @@ class AlarmRaised(msgspec.Struct, frozen=True):
 
 @packet_type("sensor_field.alarm_cleared")
 class AlarmCleared(msgspec.Struct, frozen=True):
-    """All is quiet again after an alarm."""
+    """The end of an alarm."""
 
     number: int
 
 
 class NodeTruth(msgspec.Struct, frozen=True):
-    """How a node of a simulated field really fares.
+    """The true state of a node of a simulated field.
 
     Attributes:
         name: the node.
         celsius: the temperature where it stands.
         moving: whether something moves before it.
-        level: what is left of its battery, 0 to 1; None where it has none that counts.
+        level: what is left of its battery, 0 to 1; None if its battery is not simulated.
         listening: whether its radio is on.
-        spent: what its battery has given; None where it has none that counts.
+        spent: the energy that its battery has given; None if it is not simulated.
     """
 
     name: str
@@ -122,7 +122,7 @@ class NodeTruth(msgspec.Struct, frozen=True):
 
 @packet_type("sensor_field.truth")
 class FieldTruth(msgspec.Struct, frozen=True):
-    """How a simulated field really is at one moment of mission time, as it tells the tasks of its own agent."""
+    """The true state of a simulated field at one moment of mission time, for the tasks of its own agent."""
 
     time_s: float
     nodes: tuple[NodeTruth, ...]

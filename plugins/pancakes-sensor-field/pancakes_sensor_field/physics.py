@@ -1,4 +1,4 @@
-"""A simulated field: what is hot in it and which persons walk there, at each moment of a script. Pure."""
+"""A simulated field: its fires and walking persons, at each moment of a script. Pure."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from pancakes.sim.battery import BatterySettings
 
 @dataclass
 class NodeSettings:
-    """Where a node stands.
+    """The place of a node.
 
     Attributes:
         x_m, y_m: its place.
         sees_m: how far its motion sensor sees.
-        battery: its battery; None: it lives on one that does not count.
+        battery: its battery; None: it is not simulated.
     """
 
     x_m: float
@@ -28,11 +28,11 @@ class NodeSettings:
 
 @dataclass
 class WalkerSettings:
-    """A person that walks through the field, and is not there before and after.
+    """A person that walks through the field, and is absent before and after.
 
     Attributes:
-        way: moments and places, as (seconds, x, y); in between they go straight, and where two places are the same
-            they stand still.
+        way: moments and places, as (seconds, x, y); in between they walk straight; if two places are equal, they stand
+            still.
     """
 
     way: list[tuple[float, float, float]]
@@ -45,14 +45,14 @@ class WalkerSettings:
 
 @dataclass
 class FireSettings:
-    """Something that burns.
+    """A fire.
 
     Attributes:
-        x_m, y_m: where.
+        x_m, y_m: its place.
         starts_s: when it begins.
         ends_s: when it is out.
-        peak_c: by how much it warms what stands in it, in degrees.
-        radius_m: how far off it is felt.
+        peak_c: how much it warms a node in its centre, in degrees.
+        radius_m: how far away it is felt.
         growth_s: how long it takes to grow, and to cool down.
     """
 
@@ -74,11 +74,11 @@ class SceneSettings:
     """A field and what happens in it.
 
     Attributes:
-        nodes: the nodes that stand there, tiny ones too.
-        walkers: the persons that walk there.
-        fires: what burns there.
+        nodes: the nodes, including tiny ones.
+        walkers: the persons.
+        fires: the fires.
         ambient_c: the temperature of the air at first.
-        drift_c_per_hour: by how much that changes.
+        drift_c_per_hour: how much it changes in an hour.
         noise_c: standard deviation of a thermometer.
     """
 
@@ -92,7 +92,7 @@ class SceneSettings:
 
 @dataclass(frozen=True, slots=True)
 class Walker:
-    """Where a walker is, and how fast."""
+    """The place and speed of a walker."""
 
     name: str
     x_m: float
@@ -102,7 +102,7 @@ class Walker:
 
 
 class Scene:
-    """What the settings of a field come to at a moment; it remembers nothing.
+    """The state of a field at any moment, from its settings; it has no memory.
 
     Args:
         settings: the field.
@@ -112,7 +112,7 @@ class Scene:
         self._settings = settings
 
     def celsius(self, node: str, time_s: float) -> float:
-        """Return the true temperature where a node stands."""
+        """Return the true temperature at a node."""
         settings = self._settings
         place = settings.nodes[node]
         celsius = settings.ambient_c + settings.drift_c_per_hour * time_s / 3600
@@ -122,7 +122,7 @@ class Scene:
         return celsius
 
     def moving(self, node: str, time_s: float) -> bool:
-        """Return whether a person moves before a node."""
+        """Return whether a person moves in front of a node."""
         place = self._settings.nodes[node]
         return any(
             walker.speed_mps > 0 and math.hypot(walker.x_m - place.x_m, walker.y_m - place.y_m) <= place.sees_m
@@ -136,7 +136,7 @@ class Scene:
 
 
 def _heat(fire: FireSettings, time_s: float) -> float:
-    """How far a fire has grown, or has not cooled down yet, from 0 to 1."""
+    """Return how far a fire has grown, or not yet cooled down, from 0 to 1."""
     if time_s <= fire.starts_s:
         return 0.0
     grown = 1.0 - math.exp(-(min(time_s, fire.ends_s) - fire.starts_s) / fire.growth_s)

@@ -1,4 +1,4 @@
-"""What a mission in a sensor field leaves behind, read back: the truth about each node, and what the agents told."""
+"""Read the files of a mission in a sensor field: the truth about each node, and the events of the agents."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Table = Mapping[str, Any]
 
 
 class Row(NamedTuple):
-    """How one node fared at one moment: a row of `field.csv`. The last four are None where no battery counts."""
+    """The state of one node at one moment: a row of `field.csv`. The last four are None without a battery."""
 
     t_s: float
     celsius: float
@@ -41,7 +41,7 @@ def read_record(out_dir: Path) -> Record:
     """Read `field.csv` and `events.jsonl` of a mission.
 
     Raises:
-        PancakesError: one of them is missing, or is not what it should be; it names the line.
+        PancakesError: one of them is missing, or is not valid; the message names the line.
     """
     path = out_dir / "field.csv"
     nodes: dict[str, list[Row]] = {}
@@ -49,7 +49,7 @@ def read_record(out_dir: Path) -> Record:
         try:
             nodes.setdefault(cells["node"], []).append(_row(cells))
         except (KeyError, TypeError, ValueError) as error:
-            raise PancakesError(f"{path}: row {number} is no row of a field: {error}") from None
+            raise PancakesError(f"{path}: row {number} is not a row of a field: {error}") from None
     return Record(nodes=nodes, events=read_events(out_dir))
 
 

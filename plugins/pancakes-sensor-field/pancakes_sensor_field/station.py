@@ -9,7 +9,7 @@ from typing import Final
 from pancakes_sensor_field.frame import MOTION, PERIOD, SIREN, TEMPERATURE, Decoder, Frame, encode
 
 STARTED_ANEW: Final = 3
-"""So many old numbers in a row mean that a node counts anew, and that its first frame was lost."""
+"""This many old numbers in a row mean that a node restarted and that its first frame was lost."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,13 +29,13 @@ class Reading:
 
 @dataclass
 class Heard:
-    """What some bytes meant.
+    """The result of some bytes.
 
     Attributes:
         readings: the readings in them, in their order.
-        answer: what is to be sent back at once, while the nodes listen.
-        speakers: the names of the nodes that spoke.
-        strangers: numbers of nodes that the settings do not name, each told once.
+        answer: what to send back at once, while the nodes listen.
+        speakers: the names of the nodes that sent.
+        strangers: numbers of nodes that the settings do not name, each reported once.
     """
 
     readings: list[Reading] = field(default_factory=list)
@@ -56,14 +56,14 @@ class _Node:
 
 
 class Station:
-    """Hear the tiny nodes of one line.
+    """Decode the frames of the tiny nodes on one line, and answer them.
 
     Args:
         nodes: the number of each node, by its name.
-        period_s: the report period that all of them are to have; None: what they have.
+        period_s: the report period for all of them; None: their own.
 
     Attributes:
-        missed: frames that never came, as the numbers of later ones show.
+        missed: frames that never came, by the numbers of later ones.
         repeated: frames that came twice, or too late.
         unknown: frames of an unknown kind, or of a node that the settings do not name.
     """
@@ -78,21 +78,21 @@ class Station:
 
     @property
     def frames(self) -> int:
-        """Frames that came whole."""
+        """The number of complete frames."""
         return self._decoder.frames
 
     @property
     def crc_errors(self) -> int:
-        """How often a frame began whose CRC was wrong."""
+        """The number of frames with a wrong CRC."""
         return self._decoder.crc_errors
 
     @property
     def skipped_bytes(self) -> int:
-        """Bytes that belonged to no frame."""
+        """The number of bytes that did not belong to a frame."""
         return self._decoder.skipped_bytes
 
     def want_period(self, period_s: float, name: str = "") -> bool:
-        """Let a node report in another period, or all of them; it is told when it next speaks, until it says so.
+        """Set the report period of a node, or of all. Each is told whenever it sends, until it confirms.
 
         Returns:
             Whether there is such a node.
@@ -110,7 +110,7 @@ class Station:
         return heard
 
     def ended(self) -> None:
-        """The line was lost, or a datagram has ended: what is incomplete stays so."""
+        """Drop an incomplete frame: the line was lost, or a datagram has ended."""
         self._decoder.end()
 
     def _take(self, frame: Frame, heard: Heard) -> None:
@@ -137,7 +137,7 @@ class Station:
             heard.answer += encode(Frame(frame.node, PERIOD, frame.number, node.wanted))
 
     def _is_next(self, node: _Node, frame: Frame) -> bool:
-        """Count what is missing before a frame; returns whether it is a new one."""
+        """Count the frames missing before this one; return whether it is a new one."""
         before, node.number = node.number, frame.number
         if before is None:
             return True
@@ -148,7 +148,8 @@ class Station:
             self.missed += ahead - 1
             node.late.clear()
             return True
-        # Over UDP a datagram may come twice, or be overtaken; several in a row are a node that started anew unheard.
+        # Over UDP a datagram may come twice, or be overtaken; several in a row mean that the node restarted without
+        # being heard.
         in_a_row = node.late and frame.number == node.late[-1] + 1
         node.late = [*node.late, frame.number] if in_a_row else [frame.number]
         if len(node.late) < STARTED_ANEW:

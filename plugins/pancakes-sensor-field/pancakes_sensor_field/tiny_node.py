@@ -1,12 +1,11 @@
-"""A program that stands for the hardware of a tiny node, on a pseudo-terminal or over UDP.
+"""A program that plays the hardware of a tiny node, on a pseudo-terminal or over UDP.
 
     python -m pancakes_sensor_field.tiny_node --node 7 --pty /tmp/shed
     python -m pancakes_sensor_field.tiny_node --node 9 --udp 127.0.0.1:7421 --period 2
 
-What its sensors feel comes on standard input, a line for each change: `t 21.5` is a temperature in degrees Celsius,
-`m 1` something that moves, `m 0` that nothing does. It prints when its siren begins to sound, and when that ceases. It
-ends with its standard input, and so with the program at the other end, however that ends. It imports nothing of
-Pancakes.
+The readings of its sensors come on standard input, a line for each change: `t 21.5` is a temperature in degrees
+Celsius, `m 1` means that something moves, `m 0` that nothing does. It prints when its siren begins and ends. It ends
+with its standard input, and so with the program at the other end, however that ends. It imports nothing of Pancakes.
 """
 
 from __future__ import annotations
@@ -27,11 +26,11 @@ from pancakes_sensor_field.mote import Mote, spoilt
 
 
 class PtyWire:
-    """A pseudo-terminal; a link leads to the end that others may open, as `/dev/ttyUSB0` would be."""
+    """A pseudo-terminal; a link leads to the end that others open, like `/dev/ttyUSB0`."""
 
     def __init__(self, link: str) -> None:
         self._link = Path(link)
-        # The far end stays open here too: so it may be opened and closed by others without an end to this one.
+        # The far end stays open here too, so others can open and close it without ending this one.
         self.file, self._far = os.openpty()
         tty.setraw(self._far)
         os.set_blocking(self.file, False)
@@ -74,7 +73,7 @@ class UdpWire:
 
 
 def run(mote: Mote, wire: PtyWire | UdpWire, speed: float, garble: float) -> None:
-    """Plays a tiny node until its standard input ends."""
+    """Play a tiny node until its standard input ends."""
     noise = random.Random(1)
     celsius, moving, typed, sounds = None, False, b"", False
 

@@ -1,6 +1,6 @@
 """Tasks of a simulated field's agent that play its tiny nodes, so that a gateway has something to hear.
 
-`sensor_field.TinyNodes` runs each as a process that stands for the hardware, for live runs; `SimulatedTinyNodes` runs
+`sensor_field.TinyNodes` runs each as a process that plays the hardware, for live runs; `SimulatedTinyNodes` runs
 the same nodes itself, on simulated lines, for virtual time.
 """
 
@@ -26,7 +26,7 @@ from pancakes_sensor_field.mote import Mote, spoilt
 from pancakes_sensor_field.packets import FieldTruth, NodeTruth
 
 END_S: Final = 0.5
-"""How long a tiny node has to end, of the 2 s that a task has to stop."""
+"""How long a tiny node may take to end, of the 2 s that a task has to stop."""
 
 
 @dataclass
@@ -59,9 +59,9 @@ class TinyNodesSettings:
 
 
 class TinyNodes(Task):
-    """Run the tiny nodes of a field as processes, and lets them feel what the field is like.
+    """Run the tiny nodes of a field as processes, and pass them the readings of the field.
 
-    Each ends with its standard input, so none outlives this agent, however that ends.
+    Each ends with its standard input, so none outlives this agent, however the agent ends.
     """
 
     blocking = True
@@ -113,7 +113,7 @@ class TinyNodes(Task):
 
     @on(SYSTEM, FieldTruth, keep="latest")
     def feel(self, packet: Packet) -> None:
-        """Let the nodes feel what has changed."""
+        """Pass changed readings to the nodes."""
         for name, celsius, moving in _changes(packet.body, self.settings.nodes, self._felt):
             process = self._processes[name]
             assert process.stdin is not None
@@ -125,7 +125,7 @@ class TinyNodes(Task):
 
 
 class SimulatedTinyNodes(Task):
-    """Plays the tiny nodes of a field on simulated lines; also in virtual time, where it repeats itself."""
+    """Play the tiny nodes of a field on simulated lines; also in virtual time, where runs repeat exactly."""
 
     Settings = TinyNodesSettings
 
@@ -148,13 +148,13 @@ class SimulatedTinyNodes(Task):
 
     @on(SYSTEM, FieldTruth, keep="latest")
     def feel(self, packet: Packet) -> None:
-        """Let the nodes feel what has changed."""
+        """Pass changed readings to the nodes."""
         for name, celsius, moving in _changes(packet.body, self.settings.nodes, self._felt):
             self._nodes[name].feel(celsius, moving)
 
     @every(hz=10)
     def pass_time(self, tick: Tick) -> None:
-        """Let the nodes say what is due."""
+        """Let the nodes send what is due."""
         for node in self._nodes.values():
             node.tick(tick.time_s)
 
@@ -185,7 +185,7 @@ class _SimulatedNode:
             self._connection.close("the tiny node has ended")
 
     def connected(self, connection: Connection) -> None:
-        """In the transport's thread, as the two below."""
+        """Called in the transport's thread, like the two below."""
         if self._closed:
             connection.close("the tiny node has ended")
             return
@@ -224,7 +224,7 @@ class _End(ConnectionHandler):
 def _changes(
     truth: FieldTruth, nodes: Mapping[str, Any], felt: dict[str, tuple[float, bool]]
 ) -> list[tuple[str, float, bool]]:
-    """Return what each tiny node feels now and did not before, as (name, degrees, whether something moves)."""
+    """Return the changed readings of each tiny node, as (name, degrees, whether something moves)."""
     new: list[NodeTruth] = []
     for node in truth.nodes:
         if node.name in nodes and felt.get(node.name) != (round(node.celsius, 2), node.moving):

@@ -1,4 +1,4 @@
-"""The verdict on a mission in a sensor field: was it alarmed in time, and by one task alone, and what was saved?"""
+"""The verdict on a mission in a sensor field: did the alarm come in time, from only one task, and what was saved?"""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from pancakes_sensor_field.record import Record, Row, Table, find_task, read_rec
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """What a mission must keep to.
+    """The limits of a mission.
 
     Attributes:
-        raised_within_s: time from a fire's start to the alarm; it may come before, as motion is seen first.
-        gap_s: time in which no agent ran the alarm, at a move.
+        raised_within_s: time from a fire's start to the alarm; it may come earlier, because motion is seen first.
+        gap_s: time in which no agent ran the alarm, at a migration.
         overlap_s: how well the mission clocks of two agents agree.
-        saved_share: what a node that sleeps must save, as a share of what it would use always on; one that ran the
+        saved_share: what a sleeping node must save, as a share of what it would use always on; one that ran the
             alarm had to stay awake for that.
     """
 
@@ -35,14 +35,14 @@ SEEN_BEFORE_S = 30.0
 
 
 def judge_sensor_field(run: Run, limits: Limits = Limits()) -> dict[str, Any]:
-    """Judge a mission in which fires break out and the alarm moves.
+    """Judge a mission in which fires break out and the alarm migrates.
 
     Args:
         run: the mission; it left `field.csv` and `events.jsonl`.
-        limits: what it must keep to.
+        limits: its limits.
 
     Returns:
-        What belongs into `summary.json`.
+        The contents of `summary.json`.
 
     Raises:
         PancakesError: the files or the configurations cannot be read.
@@ -116,7 +116,7 @@ def _missed(alarms: Sequence[Table], fires: Mapping[str, Table], until_s: float)
 
 
 def _fell(rows: Sequence[Row], below: float | None) -> float | None:
-    """Return when a battery first was below a level; None where never."""
+    """Return when a battery first was below a level; None: never."""
     if below is None:
         return None
     return next((row.t_s for row in rows if row.level is not None and row.level < below), None)
@@ -132,7 +132,7 @@ def _state(state: Table) -> dict[str, Any]:
 
 
 def _energy(record: Record, configs: Mapping[str, Table], field: Table) -> dict[str, dict[str, float]]:
-    """Return what each node that sleeps has used, and what it would have used always on.
+    """Return the energy that each sleeping node used, and what it would have used always on.
 
     Always on means: its radio always listens, all its sensors are asked at their busy rates, and it sends no more than
     it did.

@@ -1,4 +1,4 @@
-"""`Watch`: looks at the sensors of one node, and tells the alarm (paper §2, the sensor node's part)."""
+"""`Watch`: read the sensors of one node, and report to the alarm (paper §2, the sensor node's part)."""
 
 from __future__ import annotations
 
@@ -12,25 +12,25 @@ from pancakes_sensor_field.packets import Activity, Report
 
 
 class Watch(Task):
-    """Report one node's temperature and motion to the alarm, wherever that task is now.
+    """Report one node's temperature and motion to the alarm, wherever the alarm task is now.
 
     It reports at its rate, and at once when something begins or ceases to move, or to be warm. Reports wait on this
-    agent while its network sleeps. To its own agent it says `sensor_field.activity`, so that others can save power.
-    The sensors may be this agent's own, or virtual devices that stand for a tiny node.
+    agent while its network sleeps. It publishes `sensor_field.activity` on its own agent, so that other tasks can save
+    power. The sensors may be this agent's own, or virtual devices for a tiny node.
     """
 
     requires = ("temperature", "motion")
 
     @dataclass
     class Settings:
-        """The device that it watches.
+        """The devices that it watches.
 
         Attributes:
-            alarm: identity of the alarm task: the agent that it was born on, and its name there.
+            alarm: the identity of the alarm task: its birthplace and its name there.
             node: the node's name in reports; empty: this agent's.
             temperature: name of the device that has its temperature.
             motion: name of the device that senses motion.
-            warm_c: from this temperature on something is happening.
+            warm_c: from this temperature on, something is happening.
         """
 
         alarm: str = field(kw_only=True)
@@ -41,10 +41,10 @@ class Watch(Task):
 
     @dataclass
     class State:
-        """What outlives a restart.
+        """The state that outlives a restart.
 
         Attributes:
-            reports: how many reports it has made.
+            reports: the number of its reports.
         """
 
         reports: int = 0
@@ -68,7 +68,7 @@ class Watch(Task):
 
     @on(SYSTEM, Motion)
     def sensed(self, packet: Packet) -> None:
-        """Take what the motion sensor says."""
+        """Take a reading of the motion sensor."""
         if packet.source == join(self.agent, "device", self.settings.motion):
             self._look(packet.body.detected, self._warm)
 
@@ -84,7 +84,7 @@ class Watch(Task):
 
     @every(hz=0.1)
     def tell(self, tick: Tick) -> None:
-        """Report how things are."""
+        """Report the present readings."""
         if self._celsius is not None:
             self._report()
 
