@@ -104,7 +104,8 @@ def test_one_changed_bit_ends_the_link_with_a_reason(rig, linked):
     a, b, between = linked
 
     def flipped(data: bytes) -> bytes:
-        return data[:-1] + bytes([data[-1] ^ 1])
+        # In the first of the records that came together, behind its head: the others are behind it.
+        return data[:5] + bytes([data[5] ^ 1]) + data[6:]
 
     between.change = flipped
     b.say("a", "hello")
