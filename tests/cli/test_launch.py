@@ -233,7 +233,7 @@ def test_refused_launch_starts_nothing(rig: Rig):
         used = rig.pancakes("launch", str(rig.config("a")), str(rig.config("b")), "--set", f"b:agent.listen={listen}")
     assert (used.returncode, used.stdout) == (1, "")
     assert used.stderr.startswith(f"b cannot listen at {listen}: address already in use\n")
-    assert "launch with --local, which takes no port" in used.stderr
+    assert "launch with --local (no ports)" in used.stderr
     assert not any(rig.runtime.glob("*.json"))
 
 

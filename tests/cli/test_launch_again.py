@@ -92,7 +92,7 @@ def test_launch_reports_migrated_tasks_unless_fresh(rig: Rig, field: Path):
     refused = rig.pancakes("launch", str(field), "--fresh")
     assert refused.returncode == 1 and "is lost. Pass --force to do it" in refused.stderr
     fleet = rig.launch(field, "--fresh", "--force")
-    fleet.hear("gate begins afresh")
+    fleet.hear("gate begins from scratch")
     heard(fleet, "task_started task=Walk")
     assert tasks(rig, "gate") == {"Walk": ("running", "")}
     assert tasks(rig, "node") == {}
