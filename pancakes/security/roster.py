@@ -289,7 +289,7 @@ def fault_of_news(new: Roster, last: Roster | None, fleet: str, now_s: float) ->
     if new.fleet != fleet:
         return f"the roster {new.number} is of the fleet {new.fleet}, but this is {fleet}"
     if last is not None and new.number <= last.number:
-        return f"the roster {new.number} is older than the roster {last.number}, which is already here"
+        return f"the roster {new.number} is older than the roster {last.number}, which is in use"
     latest_s = max(now_s, last.signed_s if last is not None else 0.0) + LATEST_S
     if new.signed_s > latest_s and not new.forced:
         days = (new.signed_s - latest_s + LATEST_S) / 86_400

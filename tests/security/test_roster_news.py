@@ -74,8 +74,8 @@ def test_roster_choice():
         [
             (Roster("garage", 8, NOW_S), ROSTER, NOW_S, ""),
             (Roster("garage", 1, NOW_S), None, NOW_S, ""),
-            (Roster("garage", 7, NOW_S), ROSTER, NOW_S, "the roster 7 is older than the roster 7, which is already here"),
-            (Roster("garage", 6, NOW_S), ROSTER, NOW_S, "the roster 6 is older than the roster 7, which is already here"),
+            (Roster("garage", 7, NOW_S), ROSTER, NOW_S, "the roster 7 is older than the roster 7, which is in use"),
+            (Roster("garage", 6, NOW_S), ROSTER, NOW_S, "the roster 6 is older than the roster 7, which is in use"),
             (Roster("barn", 8, NOW_S), ROSTER, NOW_S, "the roster 8 is of the fleet barn, but this is garage"),
             (Roster("garage", 8, NOW_S + LATEST_S - DAY_S + 1), ROSTER, EARLY_S, "is dated 30 days after"),
             (Roster("garage", 8, NOW_S + LATEST_S - DAY_S), ROSTER, EARLY_S, ""),
