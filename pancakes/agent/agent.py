@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 
 from pancakes.agent.composition import Composition
-from pancakes.agent.log_buffers import RecentWarnings, Unsaid
+from pancakes.agent.log_buffers import EarlyLog, RecentWarnings
 from pancakes.agent.transport_settings import (
     addresses_of,
     insecure_over,
@@ -149,8 +149,8 @@ class Agent:
         self._root: Root | None = None
         self._closed = threading.Event()  # once all services have ended
         self._clients: set[str] = set()
-        self._drop_said_s = -math.inf
-        self._unsaid = Unsaid(self.ready)
+        self._drop_logged_s = -math.inf
+        self._early_log = EarlyLog(self.ready)
         self.skipped: list[str] = []
         self.skipped.extend(str(fault) for fault in self._plugins.load_packets())
         journal = virtual.journal if virtual is not None else self._open_journal()
@@ -187,7 +187,7 @@ class Agent:
         self._remarks, self.kernel.disk_use = journal.remarks, lambda: journal.use
         self._config_file = FileMark(config.path if virtual is None else "")
         self._warnings = RecentWarnings(self.kernel.tasks)
-        self.kernel.stream.tap(LOG, lambda packet: self._warnings.hear(packet, self.kernel.host.now()), ("line",))
+        self.kernel.stream.tap(LOG, lambda packet: self._warnings.take(packet, self.kernel.host.now()), ("line",))
         disk = Disk(journal, store, self.skipped)
         self.records = Records(disk)
         self.resting = self._resting()
@@ -215,7 +215,7 @@ class Agent:
             on_unfit=self._on_unfit,
             on_peer_up=self._on_peer_up,
             on_peer_down=self._on_peer_down,
-            on_log=lambda level, text: self._unsaid.say(lambda: self.kernel.log(level, text)),
+            on_log=lambda level, text: self._early_log.say(lambda: self.kernel.log(level, text)),
             defer=defer,
             gate=Gate(permits.may_act, lambda fence, packets: permits.hold_back(fence, "packets", packets)),
             times=LinkTimes(heartbeat_s=network.heartbeat_s),
@@ -332,7 +332,7 @@ class Agent:
             text = f"{self.name} speaks over {over} without keys: nothing is encrypted, and no peer is checked"
             self.kernel.log("warning", text)
         self.ready.set()
-        self._unsaid.say_all()
+        self._early_log.flush()
 
     def stop(self) -> None:
         """Stop everything in reverse order, and wait for that. Not from one of its own threads."""
@@ -421,7 +421,7 @@ class Agent:
             "plugins": self._plugins.brings_tasks(),
             "journal_fault": self.store.fault(),
             "kept_of_peers": kept_of_peers(self.name, self.records.all().values(), self._registers.all()),
-            "warnings": self._warnings.told(self.kernel.host.now()),
+            "warnings": self._warnings.lines(self.kernel.host.now()),
             "mesh": {key: value for key, value in self.mesh.describe().items() if key not in _TOLD_ONCE},
             "speed": self.config.clock.speed,
             # In virtual time many agents share one process.
@@ -458,8 +458,8 @@ class Agent:
             return
         now_s = self.kernel.host.now()
         # There may be thousands a second, and a line for each would be a load in itself.
-        if now_s >= self._drop_said_s + DROPS_REPORTED_EVERY_S:
-            self._drop_said_s = now_s
+        if now_s >= self._drop_logged_s + DROPS_REPORTED_EVERY_S:
+            self._drop_logged_s = now_s
             self.kernel.log("warning", f"a packet of {peer} was dropped: {refusal.text}")
 
     def _on_peer_up(self, hello: Hello) -> None:
@@ -468,7 +468,7 @@ class Agent:
             # Each command at a terminal is a client: what it asks for is worth a line, its coming and going is not.
             self._clients.add(hello.name)
         else:
-            self._unsaid.say(lambda: self.kernel.say(Event("peer_up", {"peer": hello.name, "role": hello.role})))
+            self._early_log.say(lambda: self.kernel.say(Event("peer_up", {"peer": hello.name, "role": hello.role})))
         if hello.role == "agent":
             self.kernel.tell(CENSUS, NeighbourUp(hello.name, Boot(hello.journal, hello.boot, hello.life)))
 
@@ -476,7 +476,7 @@ class Agent:
         if name in self._clients:
             self._clients.discard(name)
         else:
-            self._unsaid.say(lambda: self.kernel.say(Event("peer_down", {"peer": name, "reason": reason})))
+            self._early_log.say(lambda: self.kernel.say(Event("peer_down", {"peer": name, "reason": reason})))
         for spec in self._specs:
             if issubclass(spec.cls, (NetworkService, ClientService)):
                 self.kernel.tell(spec.name, PeerDown(name))

@@ -1,6 +1,6 @@
 """Log buffers of an agent: what is logged before the Log Service runs, and recent warnings for `pancakes doctor`.
 
-Links may come up before there is a Log Service (`Unsaid`). `RecentWarnings` keeps each kind of warning once, with a
+Links may come up before there is a Log Service (`EarlyLog`). `RecentWarnings` keeps each kind of warning once, with a
 count, while its cause lasts. Any thread.
 """
 
@@ -24,7 +24,7 @@ MOST: Final = 1024
 """At most this many lines are kept until then; then the oldest is dropped."""
 
 
-class Unsaid:
+class EarlyLog:
     """Hold back log lines until the agent is ready, then log them in order: links may be up before. Any thread.
 
     Args:
@@ -39,9 +39,9 @@ class Unsaid:
         """Call `say`: at once if the agent is ready, else once it is."""
         self._waiting.append(say)
         if self._ready.is_set():
-            self.say_all()
+            self.flush()
 
-    def say_all(self) -> None:
+    def flush(self) -> None:
         """Call all that waits. Two threads may do so at once: each takes what it finds."""
         while self._waiting:
             try:
@@ -87,7 +87,7 @@ class RecentWarnings:
         self._lock = threading.Lock()
         self._lines: OrderedDict[tuple[str, str], _Line] = OrderedDict()
 
-    def hear(self, packet: Packet, now_s: float) -> None:
+    def take(self, packet: Packet, now_s: float) -> None:
         """Take a packet of `log`; `now_s` is host time."""
         line = packet.body
         if not isinstance(line, LogLine) or line.level not in _LEVELS:
@@ -103,7 +103,7 @@ class RecentWarnings:
             if len(self._lines) > MOST_LINES:
                 self._lines.popitem(last=False)
 
-    def told(self, now_s: float) -> list[dict[str, Any]]:
+    def lines(self, now_s: float) -> list[dict[str, Any]]:
         """Return the lines as plain values, the oldest first, with how long ago each was last logged."""
         with self._lock:
             lines = list(self._lines.items())

@@ -63,13 +63,13 @@ class RecordTable(Generic[_T]):
         self._newest = dict(self._on_disk)
         self.newest = self._newest
 
-    def write(self, key: str, record: _T, then: Persisted, failed: Failed, may: May | None = None) -> None:
+    def write(self, key: str, record: _T, persisted: Persisted, failed: Failed, may: May | None = None) -> None:
         """Begin to write a record, replacing the one with this key. Never waits.
 
         Args:
             key: the record's key.
             record: what to write.
-            then: called, in the store's thread, when it is on disk.
+            persisted: called, in the store's thread, when it is on disk.
             failed: called instead, with the reason, if it could not be written.
             may: returns, in the store's thread, why it may not be written when its turn has come; None: it may.
         """
@@ -77,7 +77,7 @@ class RecordTable(Generic[_T]):
 
         def written() -> None:
             self._on_disk[key] = record
-            then()
+            persisted()
 
         try:
             data = codecs.encode(record)

@@ -123,17 +123,17 @@ class _Job(msgspec.Struct, eq=False):
     failed: Failed
     since_s: float
     may: May | None
-    told: bool = False
+    called: bool = False
 
     @property
     def key(self) -> Key:
         return self.entry.kind, self.entry.key
 
-    def tell(self, reason: str) -> None:
+    def call(self, reason: str) -> None:
         """Call the callback that is due, once; an empty reason means that the entry is on disk."""
-        if self.told:
+        if self.called:
             return
-        self.told = True
+        self.called = True
         if reason:
             self.failed(reason)
         else:
@@ -189,9 +189,9 @@ class RecordStore(ABC):
         """
         refused = [(job, why_not) for job in batch if job.may is not None and (why_not := job.may())]
         for job, why_not in refused:
-            job.tell(why_not)
+            job.call(why_not)
         if refused:
-            batch = [job for job in batch if not job.told]
+            batch = [job for job in batch if not job.called]
         if not batch:
             return
         try:
@@ -204,11 +204,11 @@ class RecordStore(ABC):
                     self._write([job])
                 return
             self._troubles.failed(batch[0].key, str(error), self._now())
-            batch[0].tell(str(error))
+            batch[0].call(str(error))
         else:
             for job in batch:
                 self._troubles.worked(job.key)
-                job.tell("")
+                job.call("")
 
     def _report(self) -> None:
         saying = self._troubles.saying(self._now())
@@ -345,7 +345,7 @@ class ThreadedStore(RecordStore):
             self._gone = reason
             left, self._jobs = self._jobs, []
         for job in (*batch, *left):
-            job.tell(reason)
+            job.call(reason)
         self._lost(reason)
 
 

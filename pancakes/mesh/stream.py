@@ -123,7 +123,7 @@ class KeptConnection(Connection, Disposable):
         self._owner.loop.call_later(0.0, lambda: self.dispose(f"the connection to {self.remote} broke: {reason}"))
 
     def _begin_close(self, reason: str) -> None:
-        """Send what waits, then says that no more comes, and waits until the other side has taken it.
+        """Send what waits, announce the end, and wait until the other side has read everything.
 
         What is given up with unread bytes in it breaks the connection, and the other side may then never see the last
         words.
@@ -134,21 +134,21 @@ class KeptConnection(Connection, Disposable):
         self._tell(reason)
 
     def _give_up(self, reason: str) -> None:
-        """What a closed connection had to send has had its time."""
+        """End a closed connection whose time to send is over."""
         self.dispose(reason)
 
     def _half_close(self) -> None:
-        """Say that no more comes, once nothing waits."""
+        """Announce the end of the stream once nothing waits."""
         with self._lock:
             if not self._waiting:
                 self._shut()
 
     def _end(self) -> str:
-        """Return how a connection has ended that the other side has closed."""
+        """Return the reason for an end from the other side."""
         return "the other side closed the connection"
 
     def _take(self, data: memoryview) -> None:
-        """Bytes have come in; copy them before the next ones."""
+        """Take bytes that came in; copy them before the next ones."""
         if not self._closing:
             self._handler.received(bytes(data))
 
@@ -156,23 +156,23 @@ class KeptConnection(Connection, Disposable):
 
     @abstractmethod
     def _listen(self) -> None:
-        """Begin to take what comes in: calls `_take`, and `dispose` with `_end()` once no more comes."""
+        """Begin to read: call `_take` with bytes, and `dispose` with `_end()` at the end of the stream."""
 
     @abstractmethod
     def _put(self, data: bytes) -> int:
-        """Send bytes, or puts them behind those that wait; returns how many wait. Under the lock."""
+        """Send bytes, or queue them; return how many wait. Under the lock."""
 
     @abstractmethod
     def _shut(self) -> None:
-        """Tell the other side that no more comes. Under the lock."""
+        """Announce the end of the stream to the other side. Under the lock."""
 
     @abstractmethod
     def _release(self) -> None:
-        """Give up what carries the bytes. Under the lock."""
+        """Release what carries the bytes. Under the lock."""
 
 
 def why(error: OSError | int) -> str:
-    """Return what the operating system says of a failure, as a phrase."""
+    """Return the operating system's text for an error, as a phrase."""
     number = error if isinstance(error, int) else error.errno
     text = os.strerror(number) if number is not None else str(error)
     return text[:1].lower() + text[1:]
@@ -182,7 +182,7 @@ class SocketOwner(ConnectionOwner, Protocol):
     """A transport over sockets.
 
     Attributes:
-        read_buffer: where bytes are read to.
+        read_buffer: the buffer for reading.
     """
 
     read_buffer: memoryview
@@ -208,7 +208,7 @@ class StreamConnection(KeptConnection):
         self._owner.loop.watch(self._sock, READ, self._ready)
 
     def _put(self, data: bytes) -> int:
-        """Give bytes to the kernel, or puts them behind those that wait for it. Under the lock."""
+        """Pass bytes to the kernel, or queue them. Under the lock."""
         if self._waiting:
             self._waiting.append(memoryview(data))
             self._unsent += len(data)
@@ -248,7 +248,7 @@ class StreamConnection(KeptConnection):
         self._read()
 
     def _read(self) -> bool:
-        """Take what has come in; returns whether there may be more."""
+        """Read what has come in; return whether there may be more."""
         buffer = self._owner.read_buffer
         try:
             count = self._sock.recv_into(buffer)
@@ -264,7 +264,7 @@ class StreamConnection(KeptConnection):
         return True
 
     def _hear_out(self, reason: str) -> None:
-        """The other side takes no more bytes: what it has said before it ended still counts, an answer for one."""
+        """Read the rest, such as an answer, from a side that takes no more bytes."""
         while self in self._owner.open and self._read():
             pass
         self.dispose(f"the connection to {self.remote} broke: {reason}")
@@ -301,13 +301,13 @@ LOOK_UP_S: Final = 30.0
 
 
 class Bound(NamedTuple):
-    """A socket that takes connections.
+    """A listening socket.
 
     Attributes:
         sock: the socket.
         address: where others dial it.
         ended: called once it is closed.
-        is_there: returns whether others still find it; None: they always do.
+        is_there: returns whether others can still find it; None: always.
     """
 
     sock: socket.socket
@@ -326,7 +326,7 @@ class StreamTransport(SchemeTransport):
     """
 
     class Settings(msgspec.Struct):
-        """How it connects.
+        """The settings of connections.
 
         Attributes:
             dial_s: how long a dial may take, in seconds of host time, for all addresses of a name together; that begins
@@ -384,21 +384,21 @@ class StreamTransport(SchemeTransport):
         """Make a socket that takes connections at an address.
 
         Raises:
-            ValueError: it is none of this transport; the phrase says why.
+            ValueError: it is not an address of this transport; the phrase says why.
             OSError: the operating system refuses.
         """
 
     @abstractmethod
     def places(self, address: str, look_up: bool) -> list[Place]:
-        """Return where an address leads, the best place first.
+        """Return the places of an address, the best first.
 
         Args:
             address: what to dial.
             look_up: whether a name may be looked up, which can take seconds.
 
         Raises:
-            ValueError: it is none of this transport; the phrase says why.
-            socket.gaierror: a name leads nowhere, or would have to be looked up.
+            ValueError: it is not an address of this transport; the phrase says why.
+            socket.gaierror: a name cannot be resolved, or would have to be looked up.
             OSError: the operating system refuses.
         """
 
@@ -408,7 +408,7 @@ class StreamTransport(SchemeTransport):
 
     @abstractmethod
     def prepare(self, sock: socket.socket, dialled: str) -> str:
-        """A connection is open; returns why it is refused for what is at its other end, empty if it is not.
+        """Prepare an open connection; return why its other end is refused, or empty.
 
         Args:
             sock: its socket.
@@ -431,7 +431,7 @@ class StreamTransport(SchemeTransport):
 
 
 class _Listener(Disposable):
-    """Take connections at an address, with a new socket if others do not find the last one any more."""
+    """Listen at an address, with a new socket if others can no longer find the last one."""
 
     def __init__(
         self, transport: StreamTransport, address: str, bound: Bound, accept: Callable[[], ConnectionHandler]
@@ -449,9 +449,9 @@ class _Listener(Disposable):
             self._transport.loop.call_later(LOOK_S, self._look)
 
     def end(self) -> None:
-        """Take no more connections; its place is free at once. Any thread."""
+        """Stop listening; the address is free at once. Any thread."""
         self._ended = True
-        # Only the loop may close its socket; one that was shut down is in nobody's way.
+        # Only the loop may close its socket; a socket that was shut down blocks nothing.
         with contextlib.suppress(OSError):
             self._bound.sock.shutdown(socket.SHUT_RDWR)
         self._transport.loop.call_later(0.0, lambda: self.dispose("nothing listens any more"))
@@ -488,8 +488,8 @@ class _Listener(Disposable):
         try:
             sock, place = self._bound.sock.accept()
         except (BlockingIOError, ConnectionAbortedError):
-            return  # it was there, and has gone again
-        except OSError:  # no file descriptor is left: it would be ready again at once, for ever
+            return  # the connection has already ended
+        except OSError:  # out of file descriptors: it would be ready again at once, for ever
             self._transport.loop.forget(self._bound.sock)
             self._transport.loop.call_later(_ACCEPT_PAUSE_S, self._resume)
             return
@@ -497,7 +497,7 @@ class _Listener(Disposable):
 
 
 class _Connecting(Disposable):
-    """Open a connection: finds out where a name leads, then tries its places side by side."""
+    """Open a connection: resolve the name, then try its places side by side."""
 
     def __init__(self, transport: StreamTransport, address: str, handler: ConnectionHandler) -> None:
         self._transport = transport
@@ -544,7 +544,7 @@ class _Connecting(Disposable):
         if self not in self._transport.open:
             return  # too late
         dial_s = self._transport.dial_s
-        # From now on: a slow look-up must leave the places their time.
+        # The time counts from now: a slow look-up must not use it up.
         self._end_in(dial_s, f"{self._address} did not answer within {dial_s:g} s")
         self._places, self._pace_s = by_turns(places), pace_s(len(places), dial_s)
         self._try()
@@ -562,12 +562,12 @@ class _Connecting(Disposable):
         sock.close()
 
     def _later(self, left: int) -> None:
-        """Try the next place, unless a failure has had it tried meanwhile."""
+        """Try the next place, unless a failure has already done so."""
         if self in self._transport.open and len(self._places) == left:
             self._try()
 
     def _try(self) -> None:
-        """Try one more place, beside those that have not answered yet."""
+        """Try one more place, in addition to those without an answer yet."""
         family, place = self._places.pop(0)
         if left := len(self._places):
             self._timers.append(self._transport.loop.call_later(self._pace_s, lambda: self._later(left)))
@@ -602,7 +602,7 @@ class _Connecting(Disposable):
             # The kernel may give a dial to a free local port that very port, and join the socket to itself.
             if not error and sock.getsockname() == sock.getpeername():
                 failure = "connection refused"
-        except OSError as gone:  # it was there, and has gone again
+        except OSError as gone:  # the connection has already ended
             failure = why(gone)
         if failure:
             self._drop(sock)
@@ -614,7 +614,7 @@ class _Connecting(Disposable):
         _begin(self._transport, sock, self._address, self._address, self._handler)
 
     def _failed(self, failure: str) -> None:
-        """A place is none: tries the next one at once, or waits for those that have not answered yet."""
+        """Note a failed place: try the next one at once, or wait for those without an answer yet."""
         if self._places:
             self._try()
         elif not self._tries:
@@ -624,7 +624,7 @@ class _Connecting(Disposable):
 def _begin(
     transport: StreamTransport, sock: socket.socket, dialled: str, remote: str, handler: ConnectionHandler
 ) -> None:
-    """A socket is connected: its connection begins, unless the transport will have none there."""
+    """Begin the connection of a connected socket, unless the transport refuses it."""
     sock.setblocking(False)
     if not dialled:
         handler.comes_from(remote)

@@ -23,7 +23,7 @@ _USER_TIMEOUT_MS: Final = 5000  # the kernel gives up a connection whose bytes a
 
 
 class TcpTransport(StreamTransport):
-    """Connections over TCP: encrypted, and between bearers of the fleet's certificates.
+    """Connections over TCP: encrypted, between bearers of certificates of the fleet.
 
     Args:
         loop: the transport's thread.
@@ -32,7 +32,7 @@ class TcpTransport(StreamTransport):
     """
 
     class Settings(StreamTransport.Settings):
-        """How it connects.
+        """The settings of TCP connections.
 
         Attributes:
             insecure: whether it connects without keys too: what is said can then be read, changed and made up by all
@@ -46,7 +46,7 @@ class TcpTransport(StreamTransport):
         self._insecure = settings.insecure
         self._handshakes: Handshakes[TlsLayer] = Handshakes(loop.now())
         if keys is not None:
-            # Now, while nothing waits for this thread: the import takes some milliseconds.
+            # Imported now, while nothing waits for this thread: it takes some milliseconds.
             from pancakes.mesh.tls import TlsConnection
 
             self._tls = TlsConnection
@@ -68,7 +68,7 @@ class TcpTransport(StreamTransport):
 
     def bind(self, address: str) -> Bound:
         places = self.places(address, look_up=True)
-        # Of a name's addresses the first that others reach: the name of a machine may lead to its loopback as well.
+        # The first of a name's addresses that others reach: a machine's name may also lead to its loopback.
         family, place = min(places, key=lambda it: is_loopback(_address(it[1])))
         sock = socket.socket(family, socket.SOCK_STREAM)
         try:
@@ -87,7 +87,7 @@ class TcpTransport(StreamTransport):
             raise ValueError(f"{address!r} is no address of TCP: write it as tcp://host:port")
         if self.keys is None and not self._insecure:
             raise ValueError(needs_keys(address))
-        # Of a string Python would make the bytes by way of a codec for foreign alphabets, which takes 0.5 MiB.
+        # As bytes: for a string, Python would load a codec for other alphabets, which takes 0.5 MiB.
         flags = 0 if look_up else socket.AI_NUMERICHOST
         found = socket.getaddrinfo(parts.host.encode(), parts.port, type=socket.SOCK_STREAM, flags=flags)
         return [(family, place) for family, _, _, _, place in found]
@@ -107,7 +107,7 @@ class TcpTransport(StreamTransport):
 
 
 def needs_keys(address: str, name: str = "NAME") -> str:
-    """Return why there is no connection over TCP, as a sentence.
+    """Return why a connection over TCP needs keys, as a sentence.
 
     Args:
         address: the address.
@@ -119,10 +119,10 @@ def needs_keys(address: str, name: str = "NAME") -> str:
 def _address(place: Any) -> str:
     """Return the address of a place.
 
-    What is known within one network only bears the interface that leads there: without, it could not be dialled.
+    A link-local address includes its interface, because it could not be dialled without it.
     """
     host, port, interface = place[0], place[1], place[3] if len(place) > 3 else 0
     if interface and "%" not in host:
-        with suppress(OSError):  # it has gone meanwhile
+        with suppress(OSError):  # it has ended meanwhile
             host += f"%{socket.if_indextoname(interface)}"
     return spelt(f"tcp://[{host}]:{port}" if ":" in host else f"tcp://{host}:{port}")

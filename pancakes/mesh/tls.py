@@ -1,6 +1,6 @@
 """TLS 1.3 with certificates on both sides, as a layer over any connection. Imports OpenSSL: import it lazily.
 
-Nothing that comes in reaches the handler before the other side has proved whose key it has. OpenSSL works in memory,
+No bytes reach the handler before the other side has proved its identity. OpenSSL works in memory,
 and another class carries the bytes: a socket, or a link through routers, which then see only ciphertext. A caller
 that sends encrypts in its own thread, under the lock that the loop's thread takes to decrypt, because OpenSSL allows
 one call at a time for each connection. `sentence_of` turns OpenSSL's errors into sentences for people.
@@ -47,7 +47,7 @@ _VERIFY: Final = {
 
 
 def sentence_of(error: ssl.SSLError) -> str:
-    """Return why a connection cannot be, as a clause."""
+    """Return why a connection failed, as a clause."""
     if isinstance(error, ssl.SSLCertVerificationError):
         return _VERIFY.get(error.verify_code, f"its certificate is not believed: {error.verify_message}")
     return _REASONS.get(error.reason or "", f"TLS failed: {(error.reason or str(error)).replace('_', ' ').lower()}")
@@ -55,21 +55,21 @@ def sentence_of(error: ssl.SSLError) -> str:
 
 HANDSHAKE_S: Final = 5.0
 RECORD_BYTES: Final = 16 * 1024
-"""How much is encrypted or decrypted at a time: OpenSSL keeps what memory it was once given."""
+"""How many bytes are encrypted or decrypted at a time: OpenSSL never frees its buffers."""
 MOST_BYTES: Final = 2**38
-"""A connection is given up after this many bytes, and dialled again: Python renews no AES-GCM key (RFC 8446, 5.5)."""
+"""A connection ends after this many bytes, and is dialled again: Python cannot renew AES-GCM keys (RFC 8446, 5.5)."""
 
 
 class TlsLayer(KeptConnection):
-    """One encrypted connection; `certified` is known when its handler hears that it is open.
+    """One encrypted connection; `certified` is known when the handler's `opened` is called.
 
     It comes before the class that carries the bytes in the bases of a connection.
 
     Args:
-        carried: what the class that carries the bytes takes.
-        keys: the certificate that it shows, and those that it believes.
+        carried: the arguments of the class that carries the bytes.
+        keys: its own certificate, and the authorities that it trusts.
         dialled: whether it was dialled.
-        shaken: called when the handshake is over, whatever came of it.
+        shaken: called when the handshake is over, also if it failed.
     """
 
     def __init__(self, *carried: Any, keys: Keys, dialled: bool, shaken: Callable[[TlsLayer], None]) -> None:
@@ -108,7 +108,7 @@ class TlsLayer(KeptConnection):
             self._late.cancel()
 
     def _seal(self, data: bytes) -> bytes:
-        """Return bytes as they travel. Under the lock."""
+        """Encrypt bytes. Under the lock."""
         self._count(len(data))
         if len(data) <= RECORD_BYTES:
             self._tls.write(data)
@@ -123,10 +123,10 @@ class TlsLayer(KeptConnection):
     def _count(self, size: int) -> None:
         self._bytes += size
         if self._bytes > MOST_BYTES:
-            self._break_off(f"it has carried {MOST_BYTES} bytes, and begins anew with new keys")
+            self._break_off(f"it has carried {MOST_BYTES} bytes, and begins again with new keys")
 
     def _flush(self) -> None:
-        """Send what OpenSSL itself has to say. Under the lock."""
+        """Send OpenSSL's own messages. Under the lock."""
         if self._out.pending:
             self._put(self._out.read())
 
@@ -151,7 +151,7 @@ class TlsLayer(KeptConnection):
             self._handler.opened(self)
 
     def _look(self) -> str:
-        """Read the certificate of the other end; returns why that is not believed, as a clause."""
+        """Read the certificate of the other end; return why it is not trusted, as a clause."""
         try:
             found = certificate_shown(self._tls)
         except ValueError as error:
@@ -177,7 +177,7 @@ class TlsLayer(KeptConnection):
             self.dispose(ended)
 
     def _opened_bytes(self, sealed: memoryview) -> tuple[bytes, str]:
-        """Return what came in, decrypted, and why the connection has ended; empty: it has not."""
+        """Decrypt bytes; return them, and why the connection has ended; empty: it has not."""
         parts: list[bytes] = []
         ended = ""
         with self._lock:
@@ -215,4 +215,4 @@ class TlsLayer(KeptConnection):
 
 
 class TlsConnection(TlsLayer, StreamConnection):
-    """One encrypted connection over a socket; see `TlsLayer` for what it takes."""
+    """One encrypted connection over a socket; see `TlsLayer` for the arguments."""

@@ -26,11 +26,11 @@ from pancakes.util.clock import Clock
 from pancakes.util.plugins import Plugins
 
 if TYPE_CHECKING:
-    from pancakes.security.keys import Keys  # and with it OpenSSL, for which an agent without keys has no use
+    from pancakes.security.keys import Keys  # it imports OpenSSL, which an agent without keys does not need
 
 
 UNSAID: Final = "the other side closed the connection, and did not say who it is"
-"""Why a connection was never opened: a terminal that ends gives it up, or the side of a second dial."""
+"""Why a connection was never opened: a terminal that ends closes it, or the side of a second dial."""
 
 
 class Connection(ABC):
@@ -39,7 +39,7 @@ class Connection(ABC):
     remote: str
     """Address of the other end, for messages to people."""
     certified: Certified | None = None
-    """What the certificate at the other end says; None: the connection has none."""
+    """The contents of the certificate at the other end; None: the connection has none."""
 
     @abstractmethod
     def send(self, data: bytes) -> int:
@@ -62,7 +62,7 @@ class ConnectionHandler(Protocol):
     """What a user of a connection implements."""
 
     def comes_from(self, remote: str) -> None:
-        """A connection came in from there; called before it is known whether it will be opened."""
+        """A connection came in from `remote`; called before it is known whether it will be opened."""
         return
 
     def opened(self, connection: Connection) -> None:
@@ -70,7 +70,7 @@ class ConnectionHandler(Protocol):
         ...
 
     def received(self, data: bytes) -> None:
-        """Bytes have come in, however the network cut them."""
+        """Bytes have come in, in whatever pieces the network delivers."""
         ...
 
     def closed(self, reason: str) -> None:
@@ -78,7 +78,7 @@ class ConnectionHandler(Protocol):
         ...
 
     def last_words(self, fault: str) -> bytes:
-        """Return the last message to a peer whose certificate is of the fleet, and is not believed all the same.
+        """Return the last message to a peer whose certificate is of the fleet but not trusted.
 
         Args:
             fault: why, as a clause. The connection ends without having been `opened`.
@@ -86,7 +86,7 @@ class ConnectionHandler(Protocol):
         return b""
 
     def drained(self) -> None:
-        """All that waited in the connection was taken: `unsent` came down to 0, and more may be sent.
+        """All waiting bytes of the connection were taken: `unsent` is 0, and more may be sent.
 
         Most handlers need not know.
         """
@@ -97,24 +97,25 @@ class Scheduled(Protocol):
     """A call that is due later."""
 
     def cancel(self) -> None:
-        """Make sure that the call does not happen, if it has not begun."""
+        """Prevent the call, if it has not begun."""
         ...
 
 
 class SchemeTransport(ABC):
     """Connections of one scheme (entry point group `pancakes.transports`).
 
-    The name of the entry point is the scheme of its addresses, which read `SCHEME://HOST:PORT` or `SCHEME:///PATH`. All
-    that it calls, it calls in the loop's thread: what a thread of its own finds, it hands over with `loop.call_later`.
+    The name of the entry point is the scheme of its addresses, of the form `SCHEME://HOST:PORT` or `SCHEME:///PATH`.
+    All that it calls, it calls in the loop's thread: what a thread of its own finds, it hands over with
+    `loop.call_later`.
 
     Args:
         loop: the transport's thread.
-        settings: what the configuration says under `transports.SCHEME` in the settings of `[service.network]`.
-        keys: the certificate of this agent or person, and those that it believes; None: it has no keys.
+        settings: the table `transports.SCHEME` in the settings of `[service.network]`.
+        keys: the certificate of this agent or person, and the authorities that it trusts; None: no keys.
     """
 
     class Settings(msgspec.Struct):
-        """It has no settings. One that encrypts if there are keys has `insecure`: to connect without them too."""
+        """No settings. A transport that encrypts if there are keys has `insecure`: to connect also without keys."""
 
     @abstractmethod
     def __init__(self, loop: Loop, settings: Any, keys: Keys | None) -> None: ...
@@ -133,7 +134,7 @@ class SchemeTransport(ABC):
 
     @classmethod
     def facts(cls, address: str, keyed: bool) -> TransportFacts:
-        """Return what is known of the way to an address of this scheme.
+        """Return the facts of an address of this scheme.
 
         Args:
             address: the address.
@@ -147,7 +148,7 @@ class SchemeTransport(ABC):
 
     @abstractmethod
     def close(self) -> None:
-        """Close all that is open, and tells the handlers. In the loop's thread."""
+        """Close all connections and listeners, and notify the handlers. In the loop's thread."""
 
 
 class Transport(ABC):
@@ -162,7 +163,7 @@ class Transport(ABC):
             accept: makes the handler for each connection that comes in.
 
         Returns:
-            The address with the port that was really taken.
+            The address with the actual port.
 
         Raises:
             PancakesError: the address is in use, or is not an address; the sentence says which.
@@ -170,7 +171,7 @@ class Transport(ABC):
 
     @abstractmethod
     def stop_listening(self, address: str) -> None:
-        """Take no more connections at `address`, which is free once this returns; open connections stay.
+        """Stop listening at `address`, which is free once this returns; open connections stay.
 
         Args:
             address: what `listen` returned. Nothing happens if nothing listens there.
@@ -185,11 +186,11 @@ class Transport(ABC):
         return True
 
     def facts(self, address: str) -> TransportFacts:
-        """Return what is known of the way to an address; of one whose scheme is unknown here, what it looks like."""
+        """Return the facts of an address; if its scheme is unknown here, facts guessed from its text."""
         return TransportFacts(reach_of(address))
 
     def reach(self, address: str) -> Reach:
-        """Return from how far an address can be dialled."""
+        """Return from how far away an address can be dialled."""
         return self.facts(address).reach
 
     @abstractmethod
@@ -197,9 +198,9 @@ class Transport(ABC):
         """Run `function` in the transport's thread in `delay_s` seconds of host time. From any thread."""
 
     def lend_thread(self, make_guest: Callable[[Callable[[], None]], Guest], busy_poll_s: float = 0.0) -> None:
-        """Let the transport's thread give turns to the actors that it has brought something.
+        """Let the transport's thread run turns of the actors that it brings packets.
 
-        Without a thread of its own there is nothing to lend.
+        A transport without its own thread does nothing.
 
         Args:
             make_guest: makes the thread a guest of the kernel's pool; called with what relieves the thread.
@@ -209,7 +210,7 @@ class Transport(ABC):
 
     @abstractmethod
     def close(self) -> None:
-        """Close all that is open, tells the handlers, and ends the transport's thread."""
+        """Close all connections and listeners, notify the handlers, and end the transport's thread."""
 
 
 class SocketTransport(Transport):
@@ -218,10 +219,10 @@ class SocketTransport(Transport):
     Args:
         clock: the host clock.
         name: the agent's name, which the thread is named after.
-        plugins: where transports are found.
-        settings: the settings of transports, by scheme; they have been checked.
-        keys: the certificate of this agent or person, and those that it believes; None: it has no keys.
-        insecure: what the setting `insecure` of those transports is that have it; they encrypt if there are keys.
+        plugins: where transports come from.
+        settings: the settings of transports, by scheme, already checked.
+        keys: the certificate of this agent or person, and the authorities that it trusts; None: no keys.
+        insecure: the setting `insecure` for transports that have it; they encrypt if there are keys.
     """
 
     def __init__(
@@ -296,18 +297,18 @@ class SocketTransport(Transport):
             if self._insecure and "insecure" in cls.Settings.__struct_fields__:
                 given = {"insecure": True, **given}
             made = cls(self.loop, make_settings(cls.Settings, given), self._keys)
-            # Two threads that dial at once must not have one each, which nothing would close.
+            # Two threads that dial at once must not make two transports, one of which nothing would close.
             made = self._made.setdefault(scheme, made)
         return made
 
 
 def facts_of(address: str, keyed: bool, plugins: Plugins) -> TransportFacts:
-    """Return what is known of the way to an address; of one whose scheme is unknown here, what it looks like.
+    """Return the facts of an address; if its scheme is unknown here, facts guessed from its text.
 
     Args:
         address: the address.
         keyed: whether the agent has keys.
-        plugins: where transports are found.
+        plugins: where transports come from.
     """
     try:
         cls: type[SchemeTransport] = plugins.get("pancakes.transports", address.partition("://")[0])

@@ -1,8 +1,8 @@
-"""What an agent believes of its peers: certificates and rosters over links, new keys, and what peers may send.
+"""What an agent trusts of its peers: certificates and rosters over links, new keys, and what peers may send.
 
 `Trust` decides by the access rules what a peer may send. It distributes the signed roster: an agent that knows a higher
 number gives it to one that has a lower one. The signature is checked in a separate process, so that no running agent
-imports `cryptography`. It takes a new key while the agent runs, and makes its links again one after the other.
+imports `cryptography`. It takes a new key while the agent runs, and renews its links one after the other.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 
 LOOK_S: Final = 60.0
-"""How often peers are told the number again, and their certificates are checked for their end."""
+"""How often the number is sent to peers again, and their certificates are checked for their end."""
 CHECK_S: Final = 30.0
 """How long the check of a signature may take."""
 MOST_CHECKS: Final = 4
@@ -42,7 +42,7 @@ class RosterFault(NamedTuple):
     """Why an agent does not use a roster, or cannot keep it.
 
     Attributes:
-        number: the number of the roster; 0: the same is true of each that will come.
+        number: the number of the roster; 0: the fault holds for every roster.
         text: why, as a sentence.
     """
 
@@ -53,9 +53,9 @@ class RosterFault(NamedTuple):
 KEY_RELOAD_S: Final = 60.0
 """How often the agent looks for a new key."""
 PAUSE_S: Final = 1.0
-"""The pause between two links that are made again: an agent is never without all of them."""
+"""The pause between two links that are renewed, so that an agent never loses all of them at once."""
 MOST_ASKED_HZ: Final = 1000.0
-"""How often a peer may ask this agent for something, in a second and at once. The rest is refused."""
+"""How many requests a peer may send in a second, and at once. Further ones are refused."""
 
 
 class Trust:
@@ -64,16 +64,16 @@ class Trust:
     Args:
         role: the role of this agent.
         keys: its keys; None: it has none, and peers show no certificates.
-        access: what it lets its peers do; None: it is a terminal, which takes packets of any source on any channel.
+        access: the rights of its peers; None: it is a terminal, which takes packets of any source on any channel.
         links: its links.
         tell: sends a message over a link.
-        refuse: ends a link, and tells the peer why.
+        refuse: ends a link, with the reason for the peer.
         call_later: as `Transport.call_later`.
         now: the host clock.
         log: takes (level, text).
 
     Attributes:
-        roster_fault: why the last roster from a peer is not taken, or not kept; None: all is well.
+        roster_fault: why the last roster from a peer was not taken or not kept; None: no fault.
     """
 
     def __init__(
@@ -105,7 +105,7 @@ class Trust:
             access.bearer_of = self._bearer_of
 
     def begin(self) -> None:
-        """The mesh has begun."""
+        """Begin, when the mesh begins."""
         if self._keys is not None:
             if not can_check():
                 self.roster_fault = RosterFault(0, UNCHECKED)
@@ -113,14 +113,14 @@ class Trust:
             self._call_later(KEY_RELOAD_S, self._look_for_key)
 
     def on_link_up(self, session: Session) -> None:
-        """A link is up: tells the peer which roster is known here."""
+        """Tell a new peer which roster is known here."""
         if self._keys is not None and self._keys.roster is not None:
             self._tell(session, RosterNumber(self._keys.roster.number))
 
     # What peers may send
 
     def fault_of_hello(self, session: Session, hello: Hello) -> str:
-        """Return in what a hello is not as the certificate of its sender says, as a sentence; empty: in nothing."""
+        """Return how a hello differs from the certificate of its sender, as a sentence; empty: not at all."""
         shown = session.certified
         return fault_of_bearer(shown, hello.name, hello.role, hello.fleet) if shown is not None else ""
 
@@ -134,7 +134,7 @@ class Trust:
         )
 
     def asks_too_much(self, session: Session, first: Packet, number: int) -> str:
-        """Return why what the peer asks for is refused, as a sentence; empty: it asks for nothing, or not too often.
+        """Return why the peer's requests are refused, as a sentence; empty: none, or not too many.
 
         Args:
             session: the link that the packets came over.
@@ -143,7 +143,7 @@ class Trust:
         """
         if self._access is None or not asks(first) or self._asked_of(session).take(number, self._now()):
             return ""
-        return f"{session.peer} asks for more than {MOST_ASKED_HZ:g} things in a second"
+        return f"{session.peer} sends more than {MOST_ASKED_HZ:g} requests in a second"
 
     def _asked_of(self, session: Session) -> Bucket:
         if session.asked is None:
@@ -158,7 +158,7 @@ class Trust:
     # The roster
 
     def on_roster(self, session: Session, message: RosterNumber | RosterText) -> None:
-        """A peer tells the number of its roster, or gives the roster."""
+        """Take the number of a peer's roster, or the roster."""
         keys = self._keys
         if keys is None:
             return
@@ -183,7 +183,7 @@ class Trust:
             self._not_taken(session, roster, fault)
             return
         if session.peer in self._checking or len(self._checking) >= MOST_CHECKS:
-            return  # the peer will hear the number again, and send the roster again
+            return  # the peer will get our number again, and send the roster again
         self._checking.add(session.peer)
 
         def check() -> None:
@@ -204,7 +204,7 @@ class Trust:
         elif code not in (0, UNKEPT):
             self._not_taken(session, roster, fault)
         elif keys.learn(roster, text):
-            # A disk that is full must not let a revoked peer stay: it is obeyed now, and written later.
+            # A full disk must not keep a revoked peer connected: the roster applies now, and is written later.
             self._unkept = code == UNKEPT
             self.roster_fault = RosterFault(roster.number, fault) if fault else None
             if fault:
@@ -225,7 +225,7 @@ class Trust:
             self._call_later(LOOK_S, self._look_at_roster)
 
     def _keep_again(self, keys: Keys) -> None:
-        """Try again to write the roster in force to disk."""
+        """Try again to write the present roster to disk."""
         text = keys.roster_text
 
         def again() -> None:
@@ -250,10 +250,10 @@ class Trust:
     # A new key
 
     def reload_keys(self, dry_run: bool = False) -> bool:
-        """Take the key that is on disk now; returns whether it is a new one. Any thread.
+        """Take the key that is on disk now; return whether it is a new one. Any thread.
 
         Args:
-            dry_run: whether to look for it only.
+            dry_run: only check whether there is a new one.
 
         Raises:
             PancakesError: it cannot be used, or there are no keys.
@@ -263,7 +263,7 @@ class Trust:
         is_new = self._keys.reload(dry_run)
         if dry_run or not is_new:
             return is_new
-        self._log("info", f"there is a new key in {self._keys.folder}, and links are made anew with it")
+        self._log("info", f"there is a new key in {self._keys.folder}, and links are renewed with it")
         self._call_later(0.0, self._renew_links)
         return True
 
@@ -283,12 +283,12 @@ class Trust:
     def _renew_next(self) -> None:
         if self._old_links:
             # Both sides dial again at once after a link that ends as a duplicate.
-            self._refuse(self._old_links.popleft(), "duplicate", "there is a new key, and links are made anew")
+            self._refuse(self._old_links.popleft(), "duplicate", "there is a new key, and links are renewed")
             self._call_later(PAUSE_S, self._renew_next)
 
 
 def can_check() -> bool:
-    """Return whether the library is installed that checks the signature of a roster."""
+    """Return whether the library that checks signatures of rosters is installed."""
     try:
         return importlib.util.find_spec("cryptography") is not None
     except (ImportError, ValueError):
@@ -296,7 +296,7 @@ def can_check() -> bool:
 
 
 def keep(keys: Keys, text: bytes) -> tuple[str, int]:
-    """Check the signature of a roster, and keeps it beside the keys. Waits for a process, so it needs a thread.
+    """Check the signature of a roster, and keep it with the keys. Waits for a process: call it in a thread.
 
     Returns:
         What is wrong, as a sentence (empty: nothing, it is kept), and the exit code of `check_roster`.

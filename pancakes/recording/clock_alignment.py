@@ -83,9 +83,9 @@ class ClockLife(msgspec.Struct):
         """Take a metadata record that `row_of` made; invalid values are left out."""
         try:
             host_ns = int(row[HOST])
-            for life, told in row.items():
+            for life, text in row.items():
                 if life != HOST:
-                    offset, bound, drift = told.split(" ")
+                    offset, bound, drift = text.split(" ")
                     self.notes.setdefault(life, []).append(ClockNote(host_ns, int(offset), int(bound), float(drift)))
         except (KeyError, ValueError):
             return

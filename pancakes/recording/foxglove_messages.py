@@ -56,7 +56,7 @@ class Viewer:
 
     def __init__(self) -> None:
         self._trails: dict[str, deque[dict[str, Any]]] = {}
-        self._told_ns: dict[str, int] = {}
+        self._path_ns: dict[str, int] = {}
         self._shown_ns: dict[str, int] = {}
 
     def messages(self, entry: RecordedPacket) -> Iterator[ViewerMessage]:
@@ -101,8 +101,8 @@ class Viewer:
         yield _message(f"{topic}/transform", "foxglove.FrameTransforms", entry.time_ns, {"transforms": [frame]})
         trail = self._trails.setdefault(topic, deque(maxlen=TRAIL))
         trail.append(pose)
-        if entry.time_ns - self._told_ns.get(topic, -TRAIL_NS) >= TRAIL_NS:
-            self._told_ns[topic] = entry.time_ns
+        if entry.time_ns - self._path_ns.get(topic, -TRAIL_NS) >= TRAIL_NS:
+            self._path_ns[topic] = entry.time_ns
             path = {**head, "poses": list(trail)}
             yield _message(f"{topic}/path", "foxglove.PosesInFrame", entry.time_ns, path)
 

@@ -32,10 +32,10 @@ def schema_for(type_name: str) -> dict[str, Any]:
     """Return the JSON Schema of the messages of one packet type; for an unknown type, of any body."""
     cls = body_class(type_name)
     try:
-        told: dict[str, Any] = schema_of(cls) if cls is not None else {}
+        schema: dict[str, Any] = schema_of(cls) if cls is not None else {}
     except (TypeError, NameError):  # JSON Schema cannot express it, or a part is imported only for type checks
-        told = {}
-    body = viewable(told, told.get("$defs", {}))
+        schema = {}
+    body = viewable(schema, schema.get("$defs", {}))
     return {
         "title": SCHEMAS + type_name,
         "description": (

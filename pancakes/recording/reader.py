@@ -215,11 +215,11 @@ def _recorded(reading: FileReading) -> Iterator[RecordedPacket]:
 
 def _check_format(reading: FileReading) -> None:
     """Raise `RecordingError` if a later version of Pancakes has written the recording in another way."""
-    told = reading.about.get("format", "1")
-    if told.isdecimal() and int(told[:9]) > FORMAT:
+    given = reading.about.get("format", "1")
+    if given.isdecimal() and int(given[:9]) > FORMAT:
         version = reading.about.get("version", "")
         raise RecordingError(
-            f"{reading.path} is of the format {told[:9]}, which Pancakes {printable(version)} has written, and this is"
+            f"{reading.path} is of the format {given[:9]}, which Pancakes {printable(version)} has written, and this is"
             f" Pancakes {__version__}, which reads formats up to {FORMAT}: read it with that version"
         )
 

@@ -1,4 +1,4 @@
-"""The recorder: a task of the Log Service that writes what is said on its agent's channels into MCAP files."""
+"""The recorder: a task of the Log Service that writes the packets on its agent's channels to MCAP files."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ interpreter, ..."""
 MANY: Final = 1000
 """... which is more packets than this."""
 PATIENCE_S: Final = 1.0
-"""How long, in host time, the answer to what a task is may take."""
+"""How long, in host time, the answer to a question about a task may take."""
 
 ASK_AGAIN_S: Final = 0.1
 """After so long, in host time, an agent is asked again what a task is whose service was only starting, ..."""
@@ -37,12 +37,12 @@ MOST_QUESTIONS: Final = 50
 
 
 class _TaskQuestion(msgspec.Struct, frozen=True):
-    """What the recorder has asked its agent.
+    """A question of the recorder to its agent.
 
     Attributes:
-        target: the task that it is about; empty: what runs.
+        target: the task that it is about; empty: the running tasks.
         seen: whether the recording saw that task start.
-        again: how often it is asked again if that is refused.
+        again: how often it is repeated if it is refused.
         asked_s: when it was asked, in host time.
     """
 
@@ -65,7 +65,7 @@ class RecordingBegan(msgspec.Struct, frozen=True):
 class Recorder(Task):
     """Write all packets that are seen on some channels of its agent, and what its tasks were.
 
-    Where the disk is full or slow it is the recording that suffers: never the robot.
+    If the disk is full or slow, only the recording suffers, never the robot.
     """
 
     blocking = True  # a disk may make it wait
@@ -73,7 +73,7 @@ class Recorder(Task):
     Settings = RecordingSettings
 
     class State(msgspec.Struct):
-        """What the recorder begins with.
+        """The state that the recorder starts with.
 
         Attributes:
             goes_on: the first file of an earlier recording, which goes on; empty: a new one begins.
@@ -134,7 +134,7 @@ class Recorder(Task):
 
     @on(LOG, Event)
     def on_event(self, packet: Packet) -> None:
-        """A task has started, with settings and a state that a later run may need."""
+        """Ask about a task that has started: a later run may need its settings and state."""
         event: Event = packet.body
         if agent_of(packet.source) != self.agent:
             return
@@ -155,7 +155,7 @@ class Recorder(Task):
 
     @on(SYSCTRL, Reply, addressed=True)
     def on_reply(self, packet: Packet) -> None:
-        """The agent has told what it runs, or what a task is."""
+        """Take the agent's answer: its running tasks, or the description of a task."""
         if packet.cause is None or packet.cause[1] not in self._asked or self._recording is None:
             return
         question = self._asked.pop(packet.cause[1])

@@ -1,4 +1,4 @@
-"""What is kept of one agent: packets are taken from its channels, and written into MCAP files."""
+"""The recording of one agent: packets are taken from its channels and written to MCAP files."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ from pancakes.recording.task_statistics import Latenesses, TaskTicks, figures_of
 from pancakes.util.clock import day_s, wall_ns
 
 WAITING: Final = 20_000
-"""At most so many packets wait for the disk, fewer where they are large; then the oldest are left out and counted."""
+"""At most this many packets wait for the disk, fewer if they are large; then the oldest are dropped and counted."""
 FLUSH_S: Final = 0.49
 """How often, in host time, all packets are given to the operating system: that is not lost where the agent is
 killed, and half of the second is left that this may cost."""
 LATEST_S: Final = 0.75
-"""After so long without a flush, in host time, the recording waits for no answer any more."""
+"""After this time without a flush, in host time, the recording no longer waits for answers."""
 SYNC_S: Final = 4.9
 """How often, in host time, they are brought to the disk, which takes long: a power cut costs the packets since then."""
 CLOCKS_S: Final = 10.0
@@ -63,15 +63,15 @@ class Recording:
     Args:
         kernel: the agent's kernel.
         settings: what is recorded, and where to.
-        say: takes a level and a sentence on what is not as it should be.
+        say: takes a level and a sentence about a problem.
         take_seq: numbers the packets that the recording itself adds, under the address `source`.
-        source: the address that these packets bear.
+        source: the source address of these packets.
         goes_on: the first file of an earlier recording, which goes on in a new file; None: a new one begins.
 
     Attributes:
         first: its first file.
-        asking: says whether something was asked about the only task that is recorded and is not answered yet, so that
-            what waits must wait on.
+        asking: whether a question about the only recorded task is not answered yet, so that
+            packets must keep waiting.
 
     Raises:
         PancakesError: nothing can be written there, too little is free on the disk, mcap is not installed, ...
@@ -106,7 +106,7 @@ class Recording:
         self._ticks_number = 0
         self._days = 0
         self.asking: Callable[[], bool] = lambda: False
-        # One look at the time of day: between two packets only the monotonic clock counts.
+        # The time of day is read once: between two packets only the monotonic clock counts.
         virtual = kernel.virtual is not None
         self._epoch_ns = 0 if virtual else wall_ns() - int(kernel.host.now() * NANOSECONDS)
         self._about = {
@@ -147,7 +147,7 @@ class Recording:
                 stream.tap(channel, self._take)
 
     def _note(self, body: Any) -> None:
-        """Add a packet that the recording itself makes."""
+        """Add a packet of the recording itself."""
         self._note_at(self._now(), body)
 
     def _note_at(self, host_s: float, body: Any) -> None:
@@ -163,21 +163,21 @@ class Recording:
 
     # What the tasks are ----------------------------------------------------------------------------------------
 
-    def describe(self, told: Mapping[str, Any], seen: bool) -> None:
-        """Take what a task is.
+    def describe(self, answer: Mapping[str, Any], seen: bool) -> None:
+        """Add the description of a task.
 
         Args:
-            told: what its agent answers to `Describe(target, state=True, began=seen)`.
+            answer: its agent's answer to `Describe(target, state=True, began=seen)`.
             seen: whether the recording saw the task start.
         """
-        described = TaskDescription.of(told, self._time_ns, self._kernel.seed, seen)
+        described = TaskDescription.of(answer, self._time_ns, self._kernel.seed, seen)
         self._tasks[described.task_id] = described
         self._note(described)
 
     def ended(self, address: str) -> None:
-        """A task has ended; what has come until now came while it ran."""
+        """Note that a task has ended; all earlier packets came while it ran."""
         self._write_waiting()
-        self._tasks = {task_id: told for task_id, told in self._tasks.items() if told.address != address}
+        self._tasks = {task_id: it for task_id, it in self._tasks.items() if it.address != address}
 
     # Writing ---------------------------------------------------------------------------------------------------
 
@@ -222,7 +222,7 @@ class Recording:
         return len(self._waiting)
 
     def end(self) -> None:
-        """Take nothing any more, write what has come, and close the file."""
+        """Stop taking packets, write what has come, and close the file."""
         self._kernel.unhear_ticks(self._latenesses.heard)
         for channel, tap in self._taps.items():
             self._kernel.stream.untap(channel, tap)
@@ -247,10 +247,10 @@ class Recording:
                 self._put(RecordedPacket(self._time_ns(seen.host_s), self._agent, seen.packet))
 
     def _look_at_the_day(self) -> None:
-        """Go on in a new file where the machine has learnt the time of day: that of this file was wrong.
+        """Continue in a new file if the machine got the time of day: the dates of this file are wrong.
 
-        Who reads both moves the times of the first. A board without a battery for its clock begins in 1970, or when it
-        was last switched off.
+        A reader of both files corrects the times of the first. A board without a battery for its clock starts in
+        1970, or when it was last switched off.
         """
         day = day_s(self._kernel.host) if self._kernel.virtual is None else None
         if day is None or abs(day * NANOSECONDS - self._epoch_ns) <= DAY_STEP_S * NANOSECONDS:
@@ -265,7 +265,7 @@ class Recording:
         self._say("warning", f"the clock of this machine was set: the recording goes on in {path} with the right time")
 
     def _note_clocks(self) -> None:
-        """Write how the clocks of peers stand to this one, so that their recordings come in order with it."""
+        """Write how the clocks of peers compare to this one, so that their recordings can be merged with it."""
         row = row_of(self._kernel.host.now(), self._kernel.links())
         if row:
             self._parts.note(CLOCKS, row)

@@ -1,4 +1,4 @@
-"""What a recording consists of: packets as they were seen, and descriptions of the tasks.
+"""The contents of a recording: packets as they were seen, and descriptions of the tasks.
 
 `pancakes rerun` needs the descriptions.
 """
@@ -33,10 +33,10 @@ class RecordedPacket(msgspec.Struct, frozen=True, gc=False):
     """One packet as it was seen.
 
     Attributes:
-        time_ns: when it was recorded, in nanoseconds: since 1970 where agents run live, since the agents were made
-            in virtual time.
-        agent: the agent on whose channel it was seen; a packet that travels is seen on the agent that sends it, and
-            on the agent that gets it.
+        time_ns: when it was recorded, in nanoseconds: since 1970 if agents run live, since the agents were made in
+            virtual time.
+        agent: the agent on whose channel it was seen; a packet between agents is seen on the sender and on the
+            receiver.
         packet: the packet.
     """
 
@@ -51,12 +51,12 @@ class RecordedPacket(msgspec.Struct, frozen=True, gc=False):
 
     @property
     def task_id(self) -> str:
-        """The identity for life of the task that published it, whichever agent it was on; empty if none did."""
+        """The permanent identity of the task that published it; empty if it was not a task."""
         return self.packet.fence.task_id if self.packet.fence is not None else ""
 
 
 CHANNEL: Final = "recording"
-"""What stands in a topic in place of a channel: the recorder itself writes these messages."""
+"""The channel in topics of messages that the recorder itself writes."""
 
 
 @packet_type("task_description")
@@ -68,13 +68,13 @@ class TaskDescription(msgspec.Struct, frozen=True):
         address: its address then.
         type: the name of its class's entry point, or of its class.
         epoch: how often it had been handed over.
-        mission_s: mission time at its agent when it was as is said here.
+        mission_s: its agent's mission time at this description.
         settings: its settings, as plain values.
         state: its state, as plain values.
         timers: its time-driven methods: `timer` and `rate_hz`.
         reads: what it subscribed to: `channel` and `types` (None: all).
         requires: the device types that it depends on.
-        time_ns: when it was as is said here, as the recording counts time (see `Entry`).
+        time_ns: the time of this description, on the recording's clock.
         began: where the recording saw it start: when that was (`time_ns`, `mission_s`), and what it began with
             (`settings` and `state`, both without what the class itself says; `periods_s` of its timers, `rate_hz` of
             its configuration). None if it ran already.
@@ -96,32 +96,32 @@ class TaskDescription(msgspec.Struct, frozen=True):
     seed: int = 0
 
     @classmethod
-    def of(cls, told: Mapping[str, Any], time_ns: Callable[[float], int], seed: int, seen: bool) -> TaskDescription:
-        """Make it of what an agent answers to `Describe(target, state=True, began=seen)`.
+    def of(cls, answer: Mapping[str, Any], time_ns: Callable[[float], int], seed: int, seen: bool) -> TaskDescription:
+        """Make it from an agent's answer to `Describe(target, state=True, began=seen)`.
 
         Args:
-            told: the answer.
+            answer: the answer.
             time_ns: turns the agent's host time, in seconds, into the recording's.
             seed: of the random numbers of the agent.
             seen: whether the recording saw the task start.
 
         Raises:
-            KeyError, TypeError: it is no such answer.
+            KeyError, TypeError: it is not such an answer.
         """
-        fence = told["fence"] or {"task_id": "", "epoch": 0}
+        fence = answer["fence"] or {"task_id": "", "epoch": 0}
         return cls(
             task_id=fence["task_id"],
-            address=f"{told['agent']}/{told['service']}/{told['task']}",
-            type=told["type"],
+            address=f"{answer['agent']}/{answer['service']}/{answer['task']}",
+            type=answer["type"],
             epoch=fence["epoch"],
-            mission_s=told["mission_s"],
-            settings=told["settings"],
-            state=told["state"],
-            timers=tuple({"timer": timer["timer"], "rate_hz": timer["rate_hz"]} for timer in told["timers"]),
-            reads=tuple({"channel": reads["channel"], "types": reads["types"]} for reads in told["reads"]),
-            requires=tuple(told["requires"]),
-            time_ns=time_ns(told["host_s"]),
-            began=_began(told["began"], time_ns) if seen else None,
+            mission_s=answer["mission_s"],
+            settings=answer["settings"],
+            state=answer["state"],
+            timers=tuple({"timer": timer["timer"], "rate_hz": timer["rate_hz"]} for timer in answer["timers"]),
+            reads=tuple({"channel": reads["channel"], "types": reads["types"]} for reads in answer["reads"]),
+            requires=tuple(answer["requires"]),
+            time_ns=time_ns(answer["host_s"]),
+            began=_began(answer["began"], time_ns) if seen else None,
             seed=seed,
         )
 
@@ -133,11 +133,11 @@ class TaskDescription(msgspec.Struct, frozen=True):
         )
 
 
-def _began(told: Mapping[str, Any], time_ns: Callable[[float], int]) -> dict[str, Any]:
-    began = {key: value for key, value in told.items() if key != "host_s"}
-    return {**began, "time_ns": time_ns(told["host_s"])}
+def _began(answer: Mapping[str, Any], time_ns: Callable[[float], int]) -> dict[str, Any]:
+    began = {key: value for key, value in answer.items() if key != "host_s"}
+    return {**began, "time_ns": time_ns(answer["host_s"])}
 
 
 def is_described(target: str) -> bool:
-    """Return whether a recording has what a task is, given as `service/task`: not of an agent's own ones."""
+    """Return whether recordings describe a task, given as `service/task`: not an agent's own tasks."""
     return not target.startswith(("log/", "network/", "device/"))

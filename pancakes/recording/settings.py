@@ -1,4 +1,4 @@
-"""What may be said about a recording, in `[record]` and when one is started."""
+"""The settings of a recording, in `[record]` and when one is started."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class RecordingSettings(Struct):
     Attributes:
         path: the file; one that is there already is left alone, and a number added to the name. `{agent}` stands
             for the agent's name.
-        channels: the channels to record; empty: all, those too that are added later.
+        channels: the channels to record; empty: all, including those that are added later.
         types: the packet types to record; empty: all.
         task: record only what this task (`birthplace/name`) reads and publishes, on whatever agent it is; empty:
             everything.

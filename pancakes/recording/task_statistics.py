@@ -26,9 +26,9 @@ STEP: Final = 2.0**0.25
 LEAST_S: Final = 1e-6
 """The lowest bucket, number 0, reaches up to here."""
 MOST: Final = 100_000
-"""At most so many ticks wait to be counted: a second of a thousand tasks at 100 Hz."""
+"""At most this many ticks wait to be counted: a second of a thousand tasks at 100 Hz."""
 NEAR_S: Final = 1e-6
-"""Deadlines that are no further apart are the same one: the first and the period give others only about."""
+"""Deadlines closer than this are equal: computed from the first and the period, they are approximate."""
 LATE_PERIODS: Final = 0.5
 """A tick is late that came later than this share of its period, ..."""
 LATE_S: Final = 0.25
@@ -59,13 +59,13 @@ def quantile_s(counts: Mapping[int, int], share: float) -> float | None:
 
 
 class TickRun(Struct, gc=False):
-    """Ticks of a timer that ran one after the other, none of them missed or late but the first.
+    """Consecutive ticks of a timer, of which only the first may be late or follow missed ones.
 
     Attributes:
         first_s: the deadline of the first, in mission time.
         period_s: from one to the next; 0 if the timer rested already when the only one ran.
         count: how many they are.
-        missed: how many ticks before the first were missed, as the task was told.
+        missed: how many ticks before the first were missed, as its tick reported.
         lateness_s: how late the first was, in mission time; 0 if it was not late, as all others were not.
     """
 
@@ -95,7 +95,8 @@ class Latenesses:
     """Count ticks by their lateness, and note their deadlines, in the recorder's thread.
 
     Attributes:
-        heard: takes a tick, in the task's turn. It is the append of a list: each further call would delay the tick.
+        heard: takes a tick, in the task's turn. It is a list's `append`, because each further call would delay the
+            tick.
         runs: the ticks that `take` counted last, by timer; in order.
         overflowed: whether some ticks before these were lost, because too many waited.
     """
@@ -133,10 +134,10 @@ class TimerFigures(msgspec.Struct, frozen=True):
     Attributes:
         timer: the method.
         rate_hz: the rate that is asked for.
-        ticks: how often it was called.
-        missed: how many ticks were left out.
-        lateness_sum_s: how late all ticks were together, in mission time.
-        lateness_max_s: how late the latest was, in mission time.
+        ticks: the number of calls.
+        missed: the number of skipped ticks.
+        lateness_sum_s: the sum of the lateness of all ticks, in mission time.
+        lateness_max_s: the largest lateness, in mission time.
         lateness_counts: of the ticks since the sample before, how many were how late: the number of the bucket (see
             `latenesses.bucket_of`) and the count, in order.
     """
@@ -171,7 +172,7 @@ class OneTask(msgspec.Struct, frozen=True):
 
 
 class OneLink(msgspec.Struct, frozen=True):
-    """A link to another agent; counts since it stands.
+    """A link to another agent; counts since it came up.
 
     Attributes:
         peer: the other agent.
@@ -180,7 +181,7 @@ class OneLink(msgspec.Struct, frozen=True):
         bytes_out: bytes sent, those of the link's own messages too.
         packets_in: packets received.
         bytes_in: bytes received.
-        dropped: packets that fell out because the peer was slow.
+        dropped: packets that were dropped because the peer was slow.
     """
 
     peer: str
@@ -199,7 +200,7 @@ class TaskFigures(msgspec.Struct, frozen=True):
     Attributes:
         mission_s: mission time.
         tasks: each task that runs and has a timer, or has lost a packet.
-        links: each link that stands.
+        links: each link that is up.
         undelivered: packets that no subscriber took.
         dead_letters: packets whose handler failed.
     """
@@ -212,7 +213,7 @@ class TaskFigures(msgspec.Struct, frozen=True):
 
 
 class TimerTicks(msgspec.Struct, frozen=True):
-    """Ticks of one timer of a task.
+    """The ticks of one timer of a task.
 
     Attributes:
         address: the task's address.
@@ -248,13 +249,13 @@ def ticks_of(number: int, runs: Mapping[TaskTimer, Sequence[TickRun]], task_id: 
         runs: see `Latenesses`.
         task_id: only those of the task with this identity; empty: of all tasks that a recording describes.
     """
-    told = []
+    ticks = []
     for timer, own in runs.items():
         address, fence = timer.component.address, getattr(timer.component, "fence", None)
         wanted = fence is not None and fence.task_id == task_id if task_id else is_described(address.partition("/")[2])
         if wanted:
-            told.append(TimerTicks(address, timer.method, tuple(astuple(run) for run in own)))
-    return TaskTicks(number, tuple(told))
+            ticks.append(TimerTicks(address, timer.method, tuple(astuple(run) for run in own)))
+    return TaskTicks(number, tuple(ticks))
 
 
 def figures_of(kernel: Kernel, latenesses: Mapping[TaskTimer, Mapping[int, int]]) -> TaskFigures:
@@ -291,6 +292,6 @@ def figures_of(kernel: Kernel, latenesses: Mapping[TaskTimer, Mapping[int, int]]
                 ),
             )
         )
-    told = ({**peer, "peer": peer["name"], "dropped": sum(peer["dropped"].values())} for peer in kernel.links())
-    links = tuple(codecs.convert(row, OneLink) for row in told)
+    rows = ({**peer, "peer": peer["name"], "dropped": sum(peer["dropped"].values())} for peer in kernel.links())
+    links = tuple(codecs.convert(row, OneLink) for row in rows)
     return TaskFigures(kernel.mission.now(), tuple(tasks), links, kernel.stream.undelivered, kernel.dead_letters.count)

@@ -1,4 +1,4 @@
-"""Records an agent in virtual time from outside: it sends no packets to the agent, so the run stays the same."""
+"""Record an agent in virtual time from outside: it sends no packets to the agent, so the run stays the same."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ WRITE_S: Final = 0.25
 
 
 class VirtualRecorder:
-    """Records one agent in virtual time.
+    """Record one agent in virtual time.
 
     What the agent publishes is tapped, and what its tasks are is read between two turns. So no actor gets a turn that
     it would not have otherwise: a run that is recorded is the same run to the byte. In the thread in which the agent
@@ -32,7 +32,7 @@ class VirtualRecorder:
     Args:
         kernel: the agent's kernel; best before anything has run on it.
         settings: what is recorded, and where to.
-        say: takes a sentence where something is not as it should be.
+        say: takes a sentence about a problem.
 
     Raises:
         PancakesError: nothing can be written there, ...
@@ -61,7 +61,7 @@ class VirtualRecorder:
             self._recording.end()
 
     def _hear(self, packet: Packet) -> None:
-        """A task has started or ended. In its service's turn, so that the task itself has none."""
+        """Note that a task has started or ended. In its service's turn, so the task itself gets no turn."""
         event = packet.body
         if not isinstance(event, Event) or agent_of(packet.source) != self._kernel.agent:
             return

@@ -79,7 +79,7 @@ def test_a_peer_asks_for_a_thousand_things_at_once_and_no_more(rig, agent, monke
     asked = [packet for packet in a.packets if packet.channel == "sysctrl"]
     assert rate <= len(asked) < 1500 and len(a.packets) == len(asked) + 1500
     refused = [
-        packet.seq for _, packet, reason in a.unfit if reason == f"0 asks for more than {rate} things in a second"
+        packet.seq for _, packet, reason in a.unfit if reason == f"0 sends more than {rate} requests in a second"
     ]
     assert sorted([*(packet.seq for packet in asked), *refused]) == list(range(1500))
 

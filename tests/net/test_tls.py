@@ -310,7 +310,7 @@ def test_a_key_is_used_for_so_many_bytes_and_then_there_is_a_new_link(rig, monke
     monkeypatch.setattr("pancakes.mesh.tls.MOST_BYTES", 20_000)
     b.say("a", "x" * 30_000)
     rig.until(lambda: a.downs and b.downs)
-    assert "it has carried 20000 bytes, and begins anew with new keys" in a.downs[0][1] + b.downs[0][1]
+    assert "it has carried 20000 bytes, and begins again with new keys" in a.downs[0][1] + b.downs[0][1]
     rig.until(lambda: a.knows("b") and b.knows("a"))
 
 

@@ -77,7 +77,7 @@ def test_more_than_there_is_room_for_is_refused_and_not_forgotten():
         assert len(found) == len(asked)
         assert len({reply.number for reply in found}) == len(asked)
         refused = [reply.reason for reply in found if not reply.ok]
-        assert all("has no room for" in it or "asks for more than 1000 things in a second" in it for it in refused)
+        assert all("has no room for" in it or "sends more than 1000 requests in a second" in it for it in refused)
         assert any(reply.ok for reply in replies)
         assert agent.ask(Describe("Count")).ok
 
