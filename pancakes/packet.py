@@ -18,7 +18,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 from dataclasses import fields, is_dataclass
-from typing import Any, Final, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Final, Generic, Protocol, TypeVar
 from zlib import crc32
 
 import msgspec
@@ -133,8 +133,16 @@ class Fence(msgspec.Struct, frozen=True, array_like=True):
     good_for_s: float | None = None
 
 
-class Packet(msgspec.Struct, frozen=True, gc=False):
-    """One message on the information stream.
+if TYPE_CHECKING:
+    import typing_extensions
+
+    Body_co = typing_extensions.TypeVar("Body_co", covariant=True, default=Any)
+else:
+    Body_co = TypeVar("Body_co", covariant=True)
+
+
+class Packet(msgspec.Struct, Generic[Body_co], frozen=True, gc=False):
+    """One message on the information stream: `Packet[Load]` has a body of the class `Load`.
 
     Attributes:
         channel: the channel it is published on, here or at its destination.
@@ -155,7 +163,7 @@ class Packet(msgspec.Struct, frozen=True, gc=False):
     destination: str
     stamp: float
     seq: int
-    body: Any
+    body: Body_co
     cause: Cause | None = None
     fence: Fence | None = None
 

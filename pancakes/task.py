@@ -10,18 +10,34 @@ A task says what it depends on and what it reacts to, and owns no thread, socket
         @every(hz=1)
         def blink(self, tick: Tick) -> None:
             self.log.info(f"{self.settings.colour} at {tick.time_s:.0f} s")
+
+With `class Blink(Task[BlinkSettings, BlinkState])` type checkers know what `self.settings` and `self.state` are; both
+are classes of their own then, and the second may be left out.
+
+A method may be `async def`, for what waits: a web API, a camera service, a database.
+
+    class Report(Task):
+        async def on_start(self) -> None:
+            self.http = httpx.AsyncClient()
+
+        @every(hz=0.1)
+        async def report(self, tick: Tick) -> None:
+            await self.http.post("https://example.org/reports", json={"time_s": tick.time_s})
+
+It is awaited on an event loop of the task's own; packets, ticks and calls wait until it has ended, as they do behind
+any method. The task can be stopped and migrated meanwhile: see `pancakes.kernel.awaiting`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, ClassVar, Final
+from typing import TYPE_CHECKING, Any, ClassVar, Final, Generic, TypeVar, get_args, get_origin
 
 import msgspec
 
 from pancakes.control import Migrate
 from pancakes.kernel.actor import COMPONENT_HOOKS, Component
-from pancakes.kernel.handlers import Tick, every, on, queue, reliable
+from pancakes.kernel.handlers import HOOKS_AWAITED, Tick, every, on, queue, reliable
 from pancakes.kernel.mailbox import Mailbox
 from pancakes.migration import CostChoice, GuardRule, MigrationRule
 from pancakes.packet import SYSCTRL
@@ -31,7 +47,15 @@ from pancakes.supervision.task_core import NONE, Nothing, TaskCore
 from pancakes.util.class_checks import Made, check_made, check_own_names
 
 if TYPE_CHECKING:
+    import typing_extensions
+
     from pancakes.kernel.kernel import Kernel
+
+    SettingsT = typing_extensions.TypeVar("SettingsT", default=Any)
+    StateT = typing_extensions.TypeVar("StateT", default=Any)
+else:
+    SettingsT = TypeVar("SettingsT")
+    StateT = TypeVar("StateT")
 
 __all__ = ["Task", "TaskSpec", "Tick", "every", "on", "queue", "reliable"]
 
@@ -76,7 +100,19 @@ _HOOKS: Final = (*COMPONENT_HOOKS, "on_settings", "Settings", "State", "requires
 _MADE_WITH: Final = ("kernel", "address", "mailbox", "carried", "rate_hz", "fence", "owner", "tells_each_turn")
 
 
-class Task(Component):
+def _given_types(cls: type) -> tuple[Any, ...]:
+    """Return what stands in the brackets behind `Task` among the bases of a class: settings, state; empty: nothing."""
+    for base in vars(cls).get("__orig_bases__", ()):
+        origin = get_origin(base)
+        if origin is Task:
+            return get_args(base)
+        if isinstance(origin, type) and issubclass(origin, Task):
+            given = dict(zip(origin.__parameters__, get_args(base), strict=False))  # type: ignore[attr-defined]
+            return tuple(given.get(it, it) for it in _given_types(origin))
+    return ()
+
+
+class Task(Component, Generic[SettingsT, StateT]):
     """The base of all tasks.
 
     Attributes:
@@ -92,15 +128,26 @@ class Task(Component):
     offers: ClassVar[tuple[str, ...]] = ()
     Settings: ClassVar[type] = Nothing
     State: ClassVar[type] = Nothing
-    _made_as: ClassVar[Made] = Made(_MADE_WITH, "a task", "`def on_start(self)`", gives="_actor")
+    _made_as: ClassVar[Made] = Made(_MADE_WITH, "a task", "`def on_start(self)`", "_actor", HOOKS_AWAITED)
 
-    state: Any
+    state: StateT
     _actor: TaskCore
+
+    if not TYPE_CHECKING:
+
+        def __class_getitem__(cls, types: Any) -> Any:
+            """Return the class with its settings and state, of which the second may be left out."""
+            given = types if isinstance(types, tuple) else (types,)
+            missing = max(0, len(cls.__parameters__) - len(given)) if cls is Task else 0
+            return super().__class_getitem__((*given, *[Any] * missing))
 
     def __init_subclass__(cls, **others: Any) -> None:
         """Raise `ClassError` if the class cannot work: a method that Pancakes calls, what it saves and offers."""
         check_own_names(cls, Task, _HOOKS, ("settings", "state"))
         super().__init_subclass__(**others)
+        for name, given in zip(("Settings", "State"), _given_types(cls), strict=False):
+            if isinstance(given, type) and given is not Any and name not in vars(cls):
+                setattr(cls, name, given)
         check_made(cls)
         check_words(cls, "requires", "offers")
         check_saved(cls, "Settings", "State")
@@ -110,11 +157,11 @@ class Task(Component):
         TaskCore(kernel, address, mailbox, facade=self, **others)
 
     @property
-    def settings(self) -> Any:
+    def settings(self) -> SettingsT:
         return self._actor.kept_settings
 
     @settings.setter
-    def settings(self, settings: Any) -> None:
+    def settings(self, settings: SettingsT) -> None:
         self._actor.keep_settings(settings)
 
     def on_settings(self) -> None:

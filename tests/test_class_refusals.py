@@ -72,8 +72,9 @@ def line_of(text, part):
 
 
 METHODS = [
-    ("Task", "@every(hz=1)\n    async def blink(self, tick): ...", "def blink(self, tick: Tick) -> None"),
-    ("Task", "@on('system')\n    async def seen(self, packet): ...", "def seen(self, packet: Packet) -> None"),
+    ("Task", "@every(hz=1)\n    async def blink(self, tick):\n        yield", "def blink(self, tick: Tick) -> None"),
+    ("Task", "@on('system')\n    async def seen(self): ...", "def seen(self, packet: Packet) -> None"),
+    ("Task", "@on('system')\n    def seen(self, body, packet, more): ...", "def seen(self, packet: Packet) -> None"),
     ("Task", "@every(hz=1)\n    def blink(self): ...", "def blink(self, tick: Tick) -> None"),
     ("Task", "@every(hz=1)\n    def blink(self, tick, more): ...", "def blink(self, tick: Tick) -> None"),
     ("Task", "@every(hz=1)\n    def blink(self, tick, *, more): ...", "def blink(self, tick: Tick) -> None"),
@@ -86,10 +87,11 @@ METHODS = [
     ),
     ("Task", "@on('system')\n    @staticmethod\n    def seen(packet): ...", "def seen(self, packet: Packet) -> None"),
     ("Task", "@on('system')\n    @classmethod\n    def seen(cls, p): ...", "def seen(self, packet: Packet) -> None"),
-    ("Task", "async def on_start(self): ...", "def on_start(self)"),
+    ("Service", "async def on_start(self): ...", "def on_start(self)"),
     ("Task", "def on_start(self, why): ...", "def on_start(self)"),
     ("Task", "def on_start(self):\n        yield", "def on_start(self)"),
-    ("Task", "async def on_stop(self): ...", "def on_stop(self)"),
+    ("Task", "async def on_stop(self):\n        yield", "def on_stop(self)"),
+    ("Task", "async def on_settings(self): ...", "def on_settings(self)"),
     ("Task", "def on_settings(self, settings): ...", "def on_settings(self)"),
     ("Service", "async def own_tasks(self): ...", "def own_tasks(self)"),
     ("Service", "def own_tasks(self, more): ...", "def own_tasks(self)"),
@@ -420,7 +422,7 @@ def test_keep_that_is_none_fails_the_task_that_subscribes(fleet):
 
 
 IN_A_MIXIN = [
-    ("Task", "async def on_start(self): ...", "Mixin.on_start is `async def`"),
+    ("Task", "async def on_settings(self): ...", "Mixin.on_settings is `async def`"),
     ("Task", "def on_start(self, x): ...", "Mixin.on_start takes (self, x)"),
     ("Task", "on_start = None", "Mixin.on_start is None"),
     ("Task", "requires = 'pose'", "Mixin.requires is 'pose': write ('pose',)"),

@@ -15,8 +15,8 @@ from pancakes.testing import Fleet
 
 GUIDES = Path(__file__).resolve().parent.parent / "docs"
 OF_PYKKA = {name for name in dir(pykka.Actor) if name.startswith("_")} | {"_actor_ref", "_abc_impl"}
-PRIVATE = {"_actor", "_made_as"}
-"""`_made_as` says how Pancakes makes an instance, and belongs to the class."""
+PRIVATE = {"_actor", "_made_as", "_is_protocol"}
+"""`_made_as` says how Pancakes makes an instance, and belongs to the class; `_is_protocol` is of `typing.Generic`."""
 
 BASES = [
     (Task, "writing-a-task.md"),

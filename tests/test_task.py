@@ -1,11 +1,14 @@
 """What a task's author writes, and what comes of it."""
 
+import threading
 from dataclasses import dataclass, field
+from typing import TypeVar
 
 import pytest
 
 from pancakes.control import Configure, Reply, Reschedule, Stop
 from pancakes.devices import Load, Pose, Twist
+from pancakes.errors import ClassError
 from pancakes.settings import SettingsError
 from pancakes.supervision.messages import Carried
 from pancakes.task import Task, every, on, queue, reliable
@@ -180,3 +183,56 @@ def test_a_period_that_is_none_ends_the_task_that_brings_it_and_no_timer(fleet, 
     fleet.run_for(2.0)
     assert len(ends) == 1 and "a period must be at least 0.0001 s" in ends[0]
     assert len(agent.events("tick")) == 4
+
+
+@dataclass
+class Gains:
+    gain: float = 1.5
+
+
+@dataclass
+class Counted:
+    count: int = 0
+
+
+SettingsT = TypeVar("SettingsT")
+
+
+def test_task_takes_its_settings_and_state_from_brackets():
+    class Both(Task[Gains, Counted]):
+        """Has both."""
+
+    class One(Task[Gains]):
+        """Has settings only."""
+
+    class Below(Both):
+        """Has those of its base."""
+
+    class Base(Task[SettingsT, Counted]):
+        """Leaves the settings open."""
+
+    class Filled(Base[Gains]):
+        """Says which."""
+
+    class Own(Task[Gains, Counted]):
+        @dataclass
+        class Settings:
+            other: int = 1
+
+    assert (Both.Settings, Both.State) == (Gains, Counted)
+    assert (One.Settings, One.State) == (Gains, Task.State)
+    assert (Below.Settings, Below.State) == (Gains, Counted)
+    assert (Base.Settings, Base.State) == (Task.Settings, Counted)
+    assert (Filled.Settings, Filled.State) == (Gains, Counted)
+    assert Own.Settings is not Gains and Own.State is Counted
+
+
+def test_task_refuses_what_cannot_be_saved_in_brackets():
+    @dataclass
+    class Odd:
+        thing: threading.Lock
+
+    with pytest.raises(ClassError, match="thing"):
+
+        class Bad(Task[Gains, Odd]):
+            """Its state cannot move."""

@@ -14,6 +14,7 @@ import math
 import random
 from collections.abc import Callable, Sequence
 from functools import cached_property, partial
+from inspect import iscoroutine
 from time import thread_time
 from typing import TYPE_CHECKING, Any, Final, Literal
 
@@ -29,6 +30,7 @@ from pancakes.kernel.handlers import (
     Keep,
     Plan,
     Subscription,
+    adapted_tick,
     keep_of,
     period_of,
     plan_of,
@@ -37,11 +39,13 @@ from pancakes.kernel.mailbox import Call, Mailbox, Told
 from pancakes.kernel.pykka_actor import Flag, PykkaActor, handle_envelope
 from pancakes.kernel.timer import TaskTimer
 from pancakes.packet import CTRL, LOG, THREAD, Cause, Fence, LocalTime, Packet, type_name
-from pancakes.util.class_checks import check_called, check_marks, check_overrides
+from pancakes.util.class_checks import MADE_AS, Made, check_awaits, check_called, check_marks, check_overrides, is_async
 
 if TYPE_CHECKING:
+    from collections.abc import Coroutine
     from types import TracebackType
 
+    from pancakes.kernel.awaiting import ActorLoop, Awaited
     from pancakes.kernel.kernel import Kernel
     from pancakes.kernel.timer import OneShot
 
@@ -52,6 +56,12 @@ def _ignore_end(component: Component, error: BaseException | None) -> None:
 
 COMPONENT_HOOKS: Final = ("on_start", "on_stop", "on_failure", "on_receive", "blocking")
 """The names of `Component` that a class of a user may have as well."""
+
+
+def _awaited_hooks(cls: type) -> tuple[str, ...]:
+    """Return which hooks of a class may be `async def`; empty: none of its methods may."""
+    made: Made | None = getattr(cls, MADE_AS, None)
+    return made.awaited if made is not None else ()
 
 
 class Component(PykkaActor):
@@ -77,15 +87,17 @@ class Component(PykkaActor):
     address: str
     agent: str
     name: str
-    actor_inbox: Mailbox  # type: ignore[assignment]
-    actor_stopped: Flag  # type: ignore[assignment]
+    actor_inbox: Mailbox
+    actor_stopped: Flag
     _actor: ActorCore
 
     def __init_subclass__(cls, **others: Any) -> None:
         """Raise `ClassError` if a method cannot be called as Pancakes calls it."""
         super().__init_subclass__(**others)
-        check_overrides(cls)
+        check_overrides(cls, _awaited_hooks(cls))
         check_marks(cls)
+        if not _awaited_hooks(cls):
+            check_awaits(cls, "a service")
         check_levels(cls)
 
     def __init__(self, kernel: Kernel, address: str, mailbox: Mailbox | None = None) -> None:
@@ -169,11 +181,12 @@ class Component(PykkaActor):
 
         Raises:
             UnknownChannel: the stream has no such channel.
-            ClassError: the handler is `async def`, or cannot be called with a packet; or `keep` is nothing of that
-                kind.
+            ClassError: the handler cannot be called with a packet; or `keep` is nothing of that kind.
         """
         kept = keep_of(keep)
-        check_called(handler, ("packet",), "subscribe calls it with a packet", "def handle(packet: Packet) -> None")
+        may_await = self._actor.awaits
+        wanted = "def handle(packet: Packet) -> None"
+        check_called(handler, ("packet",), "subscribe calls it with a packet", wanted, may_await=may_await)
         name = body if body is None or isinstance(body, str) else type_name(body)
         self._actor.add_handler(Subscription(channel, name, kept), handler)
 
@@ -189,16 +202,19 @@ class Component(PykkaActor):
         """
         self._actor.kernel.stream.close(name)
 
-    def after(self, delay_s: float, function: Callable[[], None]) -> OneShot:
+    def after(self, delay_s: float, function: Callable[[], Any]) -> OneShot:
         """Call `function` in this actor in `delay_s` seconds of mission time."""
         return self._actor.kernel.timer.after(delay_s, lambda: self.call(function))
 
-    def after_host(self, delay_s: float, function: Callable[[], None]) -> OneShot:
+    def after_host(self, delay_s: float, function: Callable[[], Any]) -> OneShot:
         """Call `function` in this actor in `delay_s` seconds of host time (for time-outs between agents)."""
         return self._actor.kernel.timer.after_host(delay_s, lambda: self.call(function))
 
-    def call(self, function: Callable[[], None]) -> None:
-        """Call `function` in this actor, after what it is doing now. Any thread; a stopped actor forgets it."""
+    def call(self, function: Callable[[], Any]) -> None:
+        """Call `function` in this actor, after what it is doing now. Any thread; a stopped actor forgets it.
+
+        It may be `async def` if a method of the task is.
+        """
         if not self.actor_stopped.is_set():
             self.actor_inbox.put(Call(self._actor, function))
 
@@ -234,11 +250,11 @@ class Component(PykkaActor):
 
     # Hooks -----------------------------------------------------------------------------------------------------
 
-    def on_start(self) -> None:
-        """Called first, in the actor. An error here ends it."""
+    def on_start(self) -> Coroutine[Any, Any, None] | None:
+        """Called first, in the actor. An error here ends it. A task's may be `async def`."""
 
-    def on_stop(self) -> None:
-        """Called last, in the actor, if it was stopped and did not fail."""
+    def on_stop(self) -> Coroutine[Any, Any, None] | None:
+        """Called last, in the actor, if it was stopped and did not fail. A task's may be `async def`."""
 
     def on_failure(
         self,
@@ -255,12 +271,12 @@ class Component(PykkaActor):
     # What pykka calls ------------------------------------------------------------------------------------------
 
     @property
-    def actor_urn(self) -> str:  # type: ignore[override]
+    def actor_urn(self) -> str:
         """The address: pykka's name for an actor."""
         return self.address
 
     @cached_property
-    def _actor_ref(self) -> pykka.ActorRef[Any]:  # type: ignore[override]
+    def _actor_ref(self) -> pykka.ActorRef[Any]:
         # Components talk by packets; few are ever asked for the pykka ref that pykka makes for each.
         return pykka.ActorRef(self._actor.facade)
 
@@ -299,6 +315,8 @@ class ActorCore(Component):
         fence: the right under which it speaks; None: it needs none.
         seq: counts its packets.
         in_hand: the packet that it handles now.
+        awaited: what it awaits between its turns.
+        loop: its event loop; None: it has awaited nothing yet.
         is_paused: whether its author has paused it.
         exited: called when it has ended, with its facade, and the error if it failed.
         after_turn: called in the actor after each of its turns; None: nothing is.
@@ -306,8 +324,12 @@ class ActorCore(Component):
 
     # In the class, as few ever rest: it saves each actor three attributes.
     is_paused = False
+    awaited: Awaited | None = None
+    loop: ActorLoop | None = None
     __frozen = False
-    __held: Sequence[Call] = ()
+    __rests = False  # whether it is paused or frozen
+    __held: Sequence[Any] = ()
+    __stops = False  # whether it awaits `on_stop`, which nothing holds back
 
     def __init__(
         self, kernel: Kernel, address: str, mailbox: Mailbox | None = None, *, facade: Component | None = None
@@ -330,9 +352,16 @@ class ActorCore(Component):
         self.__shares_handlers = True
         self.__started = False
 
+    @property
+    def awaits(self) -> bool:
+        """Whether its class has methods that are awaited, so that it needs a thread of its own."""
+        return self.__plan().awaits
+
     def __plan(self) -> Plan:
         facade = self.facade
-        return plan_of(type(facade), None if facade is self else type(self))
+        mine: Any = type(facade)  # mypy takes no class for hashable whose base it does not see
+        core: Any = None if facade is self else type(self)
+        return plan_of(mine, core)
 
     @property
     def author_class(self) -> type:
@@ -359,7 +388,13 @@ class ActorCore(Component):
             self.__handlers = {channel: Handlers(shared) for channel, shared in self.__handlers.items()}
             self.__shares_handlers = False
         handlers = self.__handlers.setdefault(subscription.channel, Handlers())
-        handlers.add(subscription.type, lambda component, packet: handler(packet))
+        if is_async(handler):
+            awaited: Callable[[Packet], Any] = handler
+            handlers.add(subscription.type, lambda component, packet: self.await_between_turns(awaited(packet)))
+        elif self.awaits:
+            handlers.add(subscription.type, lambda component, packet: self.after_awaiting(partial(handler, packet)))
+        else:
+            handlers.add(subscription.type, lambda component, packet: handler(packet))
         self.kernel.stream.subscribe(self.address, self.actor_inbox, subscription)
         self.__bind()
 
@@ -458,10 +493,13 @@ class ActorCore(Component):
         for subscription in plan.subscriptions:
             self.kernel.stream.subscribe(self.address, self.actor_inbox, subscription)
         self.__bind()
-        facade.on_start()
+        self.__call_awaited(facade.on_start, lambda: self.__begin_timers(plan))
+
+    def __begin_timers(self, plan: Plan) -> None:
+        facade = self.facade
         for method, period in plan.periods.items():
             period_s = self.initial_period_s(method, period.period_s)
-            timer = TaskTimer(self, method, getattr(type(facade), method), period_s, self.kernel)
+            timer = TaskTimer(self, method, adapted_tick(getattr(type(facade), method)), period_s, self.kernel)
             self.timers[method] = timer
             self.kernel.task_timers.add(timer)
             self.set_timer(timer)
@@ -478,10 +516,17 @@ class ActorCore(Component):
     def thaw(self) -> None:
         """For subclasses: goes on after `freeze`. In the actor."""
         self.__frozen = False
-        held, self.__held = self.__held, ()
-        for call in held:
-            self.actor_inbox.put(call)
+        self.__release_held()
         self.leave_pause()
+
+    def keep_back(self, item: Any) -> None:
+        """For subclasses: keeps something of the control lane until the actor is not frozen and awaits nothing."""
+        self.__held = (*self.__held, item)
+
+    def __release_held(self) -> None:
+        """Put back in front what was held, in its order."""
+        held, self.__held = self.__held, ()
+        self.actor_inbox.control.extendleft(reversed(held))
 
     @property
     def is_frozen(self) -> bool:
@@ -489,15 +534,16 @@ class ActorCore(Component):
 
     def enter_pause(self) -> None:
         """Let no tick and no packet be handled until `leave_pause`. In the actor."""
-        self.actor_inbox.paused = True
+        self.__rests = self.actor_inbox.paused = True
         for timer in self.timers.values():
             self.kernel.timer.cancel(timer)
 
     def leave_pause(self) -> None:
         """Go on if it is neither paused nor frozen. In the actor."""
-        if self.is_paused or self.__frozen or not self.actor_inbox.paused:
+        if self.is_paused or self.__frozen or not self.__rests:
             return
-        self.actor_inbox.paused = False
+        self.__rests = False
+        self.actor_inbox.paused = self.awaited is not None
         for timer in self.timers.values():
             self.set_timer(timer)
 
@@ -517,7 +563,7 @@ class ActorCore(Component):
 
     def set_timer(self, timer: TaskTimer) -> None:
         """Let a timer tick at its period from now on, unless all of them rest. In the actor."""
-        if timer.period_s < math.inf and not self.actor_inbox.paused:
+        if timer.period_s < math.inf and not self.__rests:
             self.kernel.timer.every(timer, timer.period_s)
         else:
             self.kernel.timer.cancel(timer)
@@ -531,17 +577,25 @@ class ActorCore(Component):
                 return
             item = control.popleft()
             if isinstance(item, TaskTimer):
-                if item.component is self:
+                if item.component is not self:
+                    continue
+                if self.awaited is not None:
+                    self.keep_back(item)  # one that waits already, so those that come meanwhile count as missed
+                else:
                     item.run()
             elif isinstance(item, Told):
                 if item.component is self:
                     self.take_message(item.message)
             elif isinstance(item, Call):
-                if item.component is self:
-                    if self.__frozen or not self.acts():
-                        self.__held = (*self.__held, item)
-                    else:
+                if item.component is not self:
+                    continue
+                if self.__stops:
+                    if item.is_own:
                         item.function()
+                elif self.__frozen or not self.acts() or (self.awaited is not None and not item.is_own):
+                    self.keep_back(item)
+                else:
+                    self.__call_awaited(item.function)
             else:
                 handle_envelope(self.facade, item)
 
@@ -567,6 +621,130 @@ class ActorCore(Component):
                     return
             if mailbox.paused or (until_s is not None and self.kernel.host.now() > until_s):
                 return
+
+    # What it awaits --------------------------------------------------------------------------------------------
+
+    def __call_awaited(self, function: Callable[[], Any], then: Callable[[], None] | None = None) -> None:
+        """Call a function, which may be `async def`, and another one once it has ended."""
+        result = function()
+        if iscoroutine(result):
+            self.await_between_turns(result, then)
+        elif then is not None:
+            then()
+
+    def await_between_turns(self, coroutine: Coroutine[Any, Any, Any], then: Callable[[], None] | None = None) -> None:
+        """Let a coroutine of the author's run between turns, until it has ended or is cancelled. In the actor.
+
+        Packets, ticks and calls wait until then.
+
+        Args:
+            coroutine: the coroutine.
+            then: called in the actor once it has ended well.
+
+        Raises:
+            TypeError: the class has no `async def` method, so the actor has no thread of its own to await in.
+        """
+        if self.awaited is not None:
+            self.awaited.behind.append(partial(self.await_between_turns, coroutine, then))
+            return
+        if not self.awaits:
+            coroutine.close()
+            raise TypeError(
+                f"{self.address} was given a coroutine to call, and only a task with an `async def` method that @on or"
+                " @every decorates awaits: write such a method"
+            )
+        self.__await(coroutine, then)
+
+    def __await(
+        self, coroutine: Coroutine[Any, Any, Any], then: Callable[[], None] | None = None, is_stop: bool = False
+    ) -> None:
+        from pancakes.kernel.awaiting import Awaited  # asyncio takes long to import
+
+        if self.loop is None:
+            self.loop = self.kernel.loop_for(self)
+        task = self.loop.loop.create_task(coroutine)
+        task.add_done_callback(lambda task: self.actor_inbox.put(Call(self, self.__came_back, is_own=True)))
+        self.awaited = Awaited(task, self.in_hand, then, is_stop)
+        self.actor_inbox.paused = True
+        self.settle_in(0.0)
+
+    def after_awaiting(self, function: Callable[[], Any]) -> None:
+        """Call a function now, or once what is awaited of the same packet has ended. In the actor."""
+        if self.awaited is not None:
+            self.awaited.behind.append(function)
+        else:
+            function()
+
+    def settle_in(self, delay_s: float) -> None:
+        """In virtual time: let the loop go on in so many seconds of the agent's host clock."""
+        if self.kernel.virtual is None:
+            return
+        step = Call(self, self.__settle, is_own=True)
+        if delay_s > 0.0:
+            self.kernel.timer.after_host(delay_s, lambda: self.actor_inbox.put(step))
+        else:
+            self.actor_inbox.put(step)
+
+    def __settle(self) -> None:
+        if self.loop is not None and self.awaited is not None:
+            self.loop.settle()
+
+    def may_await(self) -> bool:
+        if self.awaited is None or self.awaited.task.done():
+            return False
+        return self.__stops or (not self.__frozen and self.acts())
+
+    def __came_back(self) -> None:
+        """Go on after what was awaited, which has ended."""
+        awaited = self.awaited
+        if awaited is None or not awaited.task.done():
+            return
+        self.awaited = None
+        if awaited.is_stop:
+            self.end_actor(None if awaited.task.cancelled() else awaited.task.exception())
+            return
+        self.actor_inbox.paused = self.__rests
+        self.__release_held()
+        self.in_hand = awaited.packet
+        try:
+            if awaited.task.cancelled():
+                raise RuntimeError(f"what {self.address} awaited was cancelled by its own code")
+            awaited.task.result()  # raises what it raised, in this turn
+        except BaseException:
+            for failed in awaited.failed:
+                failed()
+            raise
+        if awaited.then is not None:
+            awaited.then()
+        while awaited.behind:
+            awaited.behind.popleft()()
+            if self.awaited is not None:
+                self.awaited.behind.extend(awaited.behind)
+                break
+        self.in_hand = None
+
+    def lost(self, what: str, error: BaseException | None) -> None:
+        if self.actor_stopped.is_set():
+            return  # what its author began ends with it
+        if error is not None:
+            self.__tell_failure(f"in the event loop of {self.address}: {what}", error)
+        else:
+            self.kernel.log("error", f"in the event loop of {self.address}: {what}")
+
+    def __cancel_awaited(self) -> None:
+        """Cancel what is awaited, and let it end. In the actor, which ends."""
+        awaited, self.awaited = self.awaited, None
+        if awaited is None or self.loop is None:
+            return
+        for function in awaited.behind:
+            if isinstance(function, partial) and function.args and iscoroutine(function.args[0]):
+                function.args[0].close()
+        if not self.loop.cancel(awaited.task):
+            self.kernel.log(
+                "warning", f"{self.address} is stopped, and what it awaits does not end when it is cancelled"
+            )
+        elif not awaited.task.cancelled() and (error := awaited.task.exception()) is not None:
+            self.__tell_failure(f"what {self.address} awaited failed while it was cancelled", error)
 
     def __bind(self) -> None:
         """Tell each queue what is done with its packets."""
@@ -601,12 +779,32 @@ class ActorCore(Component):
     def end_loop(self) -> None:
         """End the actor, which was asked to. In the actor."""
         error: BaseException | None = None
+        if self.__stops:
+            return  # it was asked to before
         try:
-            self.facade.on_stop()
+            self.__cancel_awaited()
+            stopping = self.facade.on_stop()
+            if iscoroutine(stopping):
+                self.__await_stop(stopping)
+                return
         except BaseException as failure:  # SystemExit, too, ends no more than this actor
             self.__raise_to_program(failure)
             error = failure
         self.end_actor(error)
+
+    def __await_stop(self, coroutine: Coroutine[Any, Any, None]) -> None:
+        """Await `on_stop` between turns, and end then."""
+        from pancakes.kernel.awaiting import STOP_S
+
+        self.__stops = True
+        self.__await(coroutine, is_stop=True)
+        cut = Call(self, self.__cut_stop, is_own=True)
+        self.kernel.timer.after_host(STOP_S, lambda: self.actor_inbox.put(cut))
+
+    def __cut_stop(self) -> None:
+        if not self.actor_stopped.is_set():
+            self.kernel.log("warning", f"on_stop of {self.address} takes too long, and is cancelled")
+            self.end_actor(None)
 
     def __fail(self, error: BaseException) -> None:
         packet = self.in_hand
@@ -629,6 +827,7 @@ class ActorCore(Component):
 
     def end_actor(self, error: BaseException | None) -> None:
         """For subclasses: ends the actor for good, after its hooks; `error` says why, if it failed. In the actor."""
+        self.__cancel_awaited()
         self.actor_stopped.set()
         for timer in self.timers.values():
             self.kernel.timer.cancel(timer)
@@ -637,6 +836,8 @@ class ActorCore(Component):
         # Its subscriptions stay: its service knows whether a successor will read what is published.
         mailbox = self.actor_inbox
         mailbox.component = None
+        if self.loop is not None and self.kernel.virtual is not None:  # else its thread closes it
+            self.loop.close()
         mailbox.closed = True
         mailbox.clear_control()
         self.exited(self.facade, error)

@@ -6,7 +6,8 @@ interpreter lock. For the same reason a thread that brings work (the timer's, th
 a `Guest`, while no other thread works. If a handler holds its thread, a watchdog stops counting on that thread, and
 another one takes over; the watchdog logs components that hold a thread for long.
 
-`PinnedDispatcher` gives a component that must wait a thread of its own. `pancakes.kernel.virtual_time` has the
+`PinnedDispatcher` gives a component that must wait a thread of its own, in which the event loop of one that awaits runs
+between its turns. `pancakes.kernel.virtual_time` has the
 dispatcher that runs whole fleets on one thread.
 """
 
@@ -468,14 +469,26 @@ class PinnedDispatcher(Dispatcher):
     def ready(self, mailbox: Mailbox) -> None:
         with self._lock:
             wake = self._wakes.get(id(mailbox))
-        # Where there is none its thread has ended with the dispatcher: no thread will read this mailbox again.
-        if wake is not None:
-            wake.put(True)
+        # If there is none, its thread has ended with the dispatcher: no thread will read this mailbox again.
+        if wake is None:
+            return
+        wake.put(True)
+        component = mailbox.component
+        if component is not None and component.loop is not None:
+            component.loop.interrupt()
 
     def _run(self, component: Runnable, wake: SimpleQueue[bool]) -> None:
         mailbox = component.actor_inbox
-        while not component.actor_stopped.is_set() and wake.get():
-            self.give_turn(mailbox)
+        while not component.actor_stopped.is_set():
+            # First the look, then the loop: a thread that puts a wake interrupts the loop after that.
+            if component.loop is not None and wake.empty() and component.may_await():
+                component.loop.run()
+            elif wake.get():
+                self.give_turn(mailbox)
+            else:
+                break
+        if component.loop is not None:
+            component.loop.close()
         with self._lock:
             self._threads.pop(id(component), None)
             if self._wakes.get(id(mailbox)) is wake:

@@ -1,21 +1,36 @@
 """Declare what a component reacts to: `@on` a packet, `@every` period, and how many packets may wait (paper §3.2).
 
+A handler takes what its parameters say: a packet, a body, or both.
+
+    @on(SYSTEM, Load)
+    def measured(self, packet: Packet[Load]) -> None: ...
+
+    @on(SYSTEM)
+    def measured(self, load: Load) -> None: ...
+
+    @on(SYSTEM)
+    def measured(self, load: Load, packet: Packet[Load]) -> None: ...
+
 `plan_of` reads the marks of a class once and keeps the result, because thousands of actors share one class. A queue
 policy (`Keep`) bounds what waits for a slow reader in packets and in bytes: `latest`, `queue(n)` or `reliable(n)`.
 """
 
 from __future__ import annotations
 
+import inspect
+import sys
 from collections.abc import Callable
-from functools import lru_cache
+from enum import Enum
+from functools import lru_cache, partial
 from numbers import Real
-from typing import Any, Final, Literal, NamedTuple, Never, TypeVar
+from types import FrameType, FunctionType
+from typing import Any, Final, Literal, NamedTuple, Never, Protocol, TypeVar, get_args, get_origin, overload
 
 import msgspec
 
-from pancakes.errors import ClassError
+from pancakes.errors import ClassError, LocalProtocolError
 from pancakes.packet import Packet, covers, type_name
-from pancakes.util.class_checks import PERIOD, SUBSCRIPTIONS, check_called, place_of_function
+from pancakes.util.class_checks import GIVEN, PERIOD, SUBSCRIPTIONS, check_called, is_async, place_of_function, takes
 
 MOST_BYTES: Final = 16 * 1024 * 1024
 """The most bytes of bodies that wait under a subscription. One may always wait; light bodies do not count."""
@@ -133,45 +148,199 @@ class Period(msgspec.Struct, frozen=True):
     period_s: float
 
 
+class Given(Enum):
+    """What a handler is called with."""
+
+    PACKET = "packet"
+    BODY = "body"
+    BODY_AND_PACKET = "body and packet"
+
+
+_Body = TypeVar("_Body")
+_Body_co = TypeVar("_Body_co", covariant=True)
+_Self = TypeVar("_Self")
+_Result = TypeVar("_Result")
+
+
+class _TakesBody(Protocol[_Body_co]):
+    """Decorates a handler of packets with bodies of one class, for type checkers.
+
+    The result takes any body, so that a second `@on` with another class may stand above the first.
+    """
+
+    @overload
+    def __call__(
+        self, method: Callable[[_Self, Packet[_Body_co]], _Result], /
+    ) -> Callable[[_Self, Packet[Any]], _Result]: ...
+
+    @overload
+    def __call__(self, method: Callable[[_Self, _Body_co], _Result], /) -> Callable[[_Self, Any], _Result]: ...
+
+    @overload
+    def __call__(
+        self, method: Callable[[_Self, _Body_co, Packet[_Body_co]], _Result], /
+    ) -> Callable[[_Self, Any, Packet[Any]], _Result]: ...
+
+    def __call__(self, method: Callable[..., Any], /) -> Callable[..., Any]: ...
+
+
+@overload
+def on(
+    channel: str,
+    body: type[_Body],
+    *,
+    keep: Keep | Literal["latest"] = DEFAULT_KEEP,
+    addressed: bool = False,
+) -> _TakesBody[_Body]: ...
+
+
+@overload
+def on(
+    channel: str,
+    body: str | None = None,
+    *,
+    keep: Keep | Literal["latest"] = DEFAULT_KEEP,
+    addressed: bool = False,
+) -> Callable[[_F], _F]: ...
+
+
 def on(
     channel: str,
     body: type | str | None = None,
     *,
     keep: Keep | Literal["latest"] = DEFAULT_KEEP,
     addressed: bool = False,
-) -> Callable[[_F], _F]:
+) -> Any:
     """Make a method event-driven: it is called with each packet on `channel`, in the component's actor.
+
+    It is called with the packet, with the body, or with the body and the packet, as its parameters say. A task's may be
+    `async def`: see `pancakes.kernel.awaiting`.
 
     Args:
         channel: the channel to listen to.
-        body: the class of the packets' bodies, or their type's name; None: packets of all types.
+        body: the class of the packets' bodies, or their type's name; None: the class that the method's annotation
+            names, or packets of all types if it names none.
         keep: what waits when the component is slow: `"latest"`, `queue(n)` or `reliable(n)`.
         addressed: only packets whose destination is this component.
 
     Raises:
-        ClassError: the method is `async def`, or cannot be called with a packet; it has an `@every`, or listens to such
-            packets already; or `keep` is nothing of that kind.
+        ClassError: the method cannot be called with a packet, or its annotation names no packet type; it has an
+            `@every`, or listens to such packets already; or `keep` is nothing of that kind.
     """
     if not isinstance(channel, str):
         raise ClassError(f'@on takes the name of a channel, not {channel!r}: write @on("system")')
     name = body if body is None or isinstance(body, str) else type_name(body)
-    subscription = Subscription(channel, name, keep_of(keep), addressed)
+    kept = keep_of(keep)
 
     def mark(method: _F) -> _F:
-        wanted = f"def {_name_of(method)}(self, packet: Packet) -> None"
-        check_called(method, ("self", "packet"), "@on calls it with a packet", wanted)
+        check_given(method)
+        given, of_annotation = _given_to(method, body, sys._getframe(1))  # noqa: SLF001
+        subscribed = of_annotation if name is None else name
+        subscription = Subscription(channel, subscribed, kept, addressed)
         before = getattr(method, SUBSCRIPTIONS, ())
         if hasattr(method, PERIOD):
             raise _both(method)
-        if any(it.channel == channel and (it.type == name or None in (it.type, name)) for it in before):
+        if any(it.channel == channel and (it.type == subscribed or None in (it.type, subscribed)) for it in before):
             raise ClassError(
                 f"{_head(method)} is decorated twice with @on({channel!r}) for the same packets, with each of which it"
                 " would be called twice: leave one of them out"
             )
         setattr(method, SUBSCRIPTIONS, (*before, subscription))
+        setattr(method, GIVEN, given)
         return method
 
     return mark
+
+
+def check_given(method: Any) -> None:
+    """Refuse a method that cannot be called with a packet, nor with its body and the packet.
+
+    Raises:
+        ClassError: names its file and line.
+    """
+    given: tuple[str, ...] = ("self", "packet")
+    if isinstance(method, FunctionType) and not takes(method, 2) and takes(method, 3):
+        given = ("self", "body", "packet")
+    wanted = f"def {_name_of(method)}(self, packet: Packet) -> None"
+    check_called(method, given, "@on calls it with a packet", wanted, may_await=True)
+
+
+_PACKET_NAMES: Final = ("Packet", "Any", "object")
+
+
+def _given_to(method: Callable[..., Any], body: type | str | None, around: FrameType) -> tuple[Given, str | None]:
+    """Return what a handler is to be called with, and the packet type that its annotation names, if one is wanted.
+
+    Args:
+        method: the handler.
+        body: what its decorator says of the type.
+        around: the frame in which it is written.
+    """
+    both = not takes(method, 2)
+    parameter = _first_parameter(method)
+    annotation = parameter.annotation if parameter is not None else inspect.Parameter.empty
+    text = annotation if isinstance(annotation, str) else getattr(annotation, "__name__", repr(annotation))
+    head, bracket, _ = text.partition("[")
+    is_packet = head.strip().rpartition(".")[2] in _PACKET_NAMES or get_origin(annotation) is Packet
+    if not both and (parameter is None or annotation is inspect.Parameter.empty or is_packet):
+        inside = bracket or get_args(annotation)
+        if body is None and inside:
+            return Given.PACKET, _type_of_annotation(method, annotation, around, "Packet")
+        return Given.PACKET, None
+    given = Given.BODY_AND_PACKET if both else Given.BODY
+    if body is not None:
+        return given, None
+    if annotation is inspect.Parameter.empty:
+        raise ClassError(
+            f"{_head(method)} takes a body and a packet, and nothing says of which type: write its class into @on, as"
+            ' in @on("system", Load), or at the parameter, as in `load: Load`'
+        )
+    return given, _type_of_annotation(method, annotation, around, "")
+
+
+def _first_parameter(method: Callable[..., Any]) -> inspect.Parameter | None:
+    """Return the parameter behind `self`; None: there is none by itself, as in `*args`."""
+    code = getattr(method, "__code__", None)
+    if code is not None and code.co_argcount >= 2:  # a signature takes 10 µs
+        name = code.co_varnames[1]
+        kind = inspect.Parameter.POSITIONAL_OR_KEYWORD
+        return inspect.Parameter(name, kind, annotation=method.__annotations__.get(name, inspect.Parameter.empty))
+    try:
+        parameters = list(inspect.signature(method).parameters.values())
+    except (TypeError, ValueError):
+        return None
+    named = [it for it in parameters[1:2] if it.kind in (it.POSITIONAL_ONLY, it.POSITIONAL_OR_KEYWORD)]
+    return named[0] if named else None
+
+
+def _type_of_annotation(method: Callable[..., Any], annotation: Any, around: FrameType, within: str) -> str:
+    """Return the name of the packet type that an annotation names.
+
+    Args:
+        method: the handler.
+        annotation: of its parameter; text if annotations are not evaluated in its module.
+        around: the frame in which it is written.
+        within: `Packet`, if the class stands in brackets behind that.
+    """
+    written = annotation if isinstance(annotation, str) else getattr(annotation, "__qualname__", repr(annotation))
+    try:
+        if isinstance(annotation, str):
+            text = annotation.partition("[")[2].rpartition("]")[0] if within else annotation
+            cls = eval(text, getattr(method, "__globals__", {}), _names_around(around))  # the author's own annotation
+        else:
+            cls = get_args(annotation)[0] if within else annotation
+        return type_name(cls)
+    except (NameError, AttributeError, SyntaxError, TypeError, LocalProtocolError):
+        raise ClassError(
+            f"{_head(method)} takes {written!r}, which names no packet type: decorate its class with @packet_type, or"
+            ' write the type into @on, as in @on("system", Load)'
+        ) from None
+
+
+def _names_around(frame: FrameType) -> dict[str, Any]:
+    """Return the names that are known where a class is written: those of its body, and of a function around it."""
+    outer = frame.f_back.f_locals if frame.f_back is not None else {}
+    return {**outer, **frame.f_locals}
 
 
 def every(*bare: Never, hz: float | None = None, period_s: float | None = None) -> Callable[[_F], _F]:
@@ -182,15 +351,17 @@ def every(*bare: Never, hz: float | None = None, period_s: float | None = None) 
         hz: ticks for each second of mission time; 0: none before it is rescheduled.
         period_s: instead, seconds of mission time from tick to tick.
 
+    A task's method may be `async def`: ticks that come while it is awaited count as missed, but for the last.
+
     Raises:
-        ClassError: neither a rate nor a period is given, or both, or one that no timer can have; or the method is
-            `async def`, or cannot be called with a `Tick`; or it has an `@on` or another `@every`.
+        ClassError: neither a rate nor a period is given, or both, or one that no timer can have; or the method cannot
+            be called with a `Tick`; or it has an `@on` or another `@every`.
     """
     period = _period(bare, hz, period_s)
 
     def mark(method: _F) -> _F:
         wanted = f"def {_name_of(method)}(self, tick: Tick) -> None"
-        check_called(method, ("self", "tick"), "@every calls it with a Tick", wanted)
+        check_called(method, ("self", "tick"), "@every calls it with a Tick", wanted, may_await=True)
         if hasattr(method, PERIOD):
             raise ClassError(
                 f"{_head(method)} is decorated twice with @every, and a method has one rate: leave one of them out, or"
@@ -318,11 +489,17 @@ class Plan(NamedTuple):
         handlers: what is done with them, by channel; all components of the class share that, which is a kilobyte less
             for each. Not to be changed.
         periods: the time-driven methods.
+        awaits: whether one of its methods is `async def`.
     """
 
     subscriptions: tuple[Subscription, ...]
     handlers: dict[str, Handlers]
     periods: dict[str, Period]
+    awaits: bool
+
+
+HOOKS_AWAITED: Final = ("on_start", "on_stop")
+"""The hooks of a task that may be `async def`."""
 
 
 @lru_cache(maxsize=MOST_PLANS)
@@ -335,13 +512,50 @@ def plan_of(cls: type, core: type | None = None) -> Plan:
     """
     handlers: dict[str, Handlers] = {}
     marked = [(subscription, getattr(cls, method)) for subscription, method in subscriptions_of(cls)]
+    channels_awaited = {subscription.channel for subscription, method in marked if is_async(method)}
+    adapted = [(it, adapted_handler(method, it.channel in channels_awaited)) for it, method in marked]
     if core is not None:
-        of_core = subscriptions_of(core)
-        marked = [*((it, _by_core(getattr(core, method))) for it, method in of_core), *marked]
-    for subscription, handler in marked:
+        adapted = [*((it, _by_core(getattr(core, method))) for it, method in subscriptions_of(core)), *adapted]
+    for subscription, handler in adapted:
         handle = only_addressed(handler) if subscription.addressed else handler
         handlers.setdefault(subscription.channel, Handlers()).add(subscription.type, handle)
-    return Plan(tuple(subscription for subscription, _ in marked), handlers, periods_of(cls))
+    periods = periods_of(cls)
+    others = (*periods, *HOOKS_AWAITED)
+    awaits = bool(channels_awaited) or any(is_async(getattr(cls, name, None)) for name in others)
+    return Plan(tuple(subscription for subscription, _ in adapted), handlers, periods, awaits)
+
+
+def adapted_handler(method: Callable[..., Any], beside_async: bool = False) -> Handler:
+    """Return what is called with a component and a packet, for a method that may take a body, and may be `async def`.
+
+    Args:
+        method: the method.
+        beside_async: whether another handler of the same packets is `async def`, which this one must wait for.
+    """
+    given = getattr(method, GIVEN, Given.PACKET)
+    handler: Callable[[Any, Packet], Any] = method
+    if given is Given.BODY:
+
+        def handler(component: Any, packet: Packet) -> Any:
+            return method(component, packet.body)
+
+    elif given is Given.BODY_AND_PACKET:
+
+        def handler(component: Any, packet: Packet) -> Any:
+            return method(component, packet.body, packet)
+
+    if is_async(method):
+        return lambda component, packet: component._actor.await_between_turns(handler(component, packet))  # noqa: SLF001
+    if beside_async:
+        return lambda component, packet: component._actor.after_awaiting(partial(handler, component, packet))  # noqa: SLF001
+    return handler
+
+
+def adapted_tick(method: Callable[..., Any]) -> Callable[[Any, Tick], None]:
+    """Return what is called with a component and a tick, for a method that may be `async def`."""
+    if is_async(method):
+        return lambda component, tick: component._actor.await_between_turns(method(component, tick))  # noqa: SLF001
+    return method
 
 
 def _by_core(handler: Handler) -> Handler:

@@ -11,7 +11,7 @@ import random
 import threading
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from itertools import count
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from msgspec.structs import replace
 
@@ -33,6 +33,9 @@ from pancakes.util.class_checks import check_instance, check_loaded
 from pancakes.util.clock import Clock, MissionClock, MonotonicClock, SkewedClock, day_s
 from pancakes.util.files import NoPath, at_home
 from pancakes.util.timebase import Timebase
+
+if TYPE_CHECKING:
+    from pancakes.kernel.awaiting import ActorLoop as Loop
 
 
 class Counter:
@@ -249,7 +252,15 @@ class Kernel:
 
     def attach(self, core: ActorCore) -> None:
         """Put a component on the dispatcher that suits it."""
-        (self._pinned if core.facade.blocking else self._shared).attach(core)
+        (self._pinned if core.facade.blocking or core.awaits else self._shared).attach(core)
+
+    def loop_for(self, core: ActorCore) -> Loop:
+        """Make the event loop of an actor that awaits. In the actor, on its own thread."""
+        from pancakes.kernel.awaiting import ActorLoop, VirtualActorLoop  # asyncio takes long to import
+
+        if self.virtual is None:
+            return ActorLoop(core)
+        return VirtualActorLoop(core, self.host.now, core.settle_in)
 
     def actor(self, path: str) -> Reference | None:
         """Return the actor at a path of this agent, such as `network/TaskMigrator`; None: none runs there."""
@@ -378,6 +389,8 @@ class Kernel:
         for component in self.registry.components():
             component.actor_stopped.set()
             component.actor_inbox.component = None
+            if component.loop is not None:
+                component.loop.close()
 
     def _virtual_moment(self) -> PermitEnd:
         now_s = self.host.now()

@@ -14,7 +14,7 @@ import contextlib
 import threading
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
-from typing import Any, Final, Generic, NamedTuple, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Final, Generic, NamedTuple, Protocol, TypeVar
 
 import pykka
 
@@ -22,6 +22,9 @@ from pancakes.kernel.handlers import Handler, Keep
 from pancakes.kernel.payload_size import weight_of
 from pancakes.kernel.pykka_actor import Flag, dismiss
 from pancakes.packet import Packet
+
+if TYPE_CHECKING:
+    from pancakes.kernel.awaiting import ActorLoop
 
 
 class _Heavy(NamedTuple):
@@ -212,6 +215,13 @@ class Runnable(Protocol):
         """Whether it needs a thread of its own."""
 
     @property
+    def loop(self) -> ActorLoop | None:
+        """Its event loop; None: it has awaited nothing yet."""
+
+    def may_await(self) -> bool:
+        """Return whether its loop may run: it awaits something, and is not frozen. In its thread, between turns."""
+
+    @property
     def actor_inbox(self) -> Mailbox:
         """Its mailbox."""
 
@@ -346,13 +356,20 @@ class Reference(Runnable, Protocol):
 
 
 class Call:
-    """A function to be called in a component's turn, and in no turn of its successor's."""
+    """A function to be called in a component's turn, and in no turn of its successor's.
 
-    __slots__ = ("component", "function")
+    Args:
+        component: the component.
+        function: the function.
+        is_own: whether it is a step of what the component awaits, which must not wait for that.
+    """
 
-    def __init__(self, component: Runnable, function: Callable[[], None]) -> None:
+    __slots__ = ("component", "function", "is_own")
+
+    def __init__(self, component: Runnable, function: Callable[[], Any], is_own: bool = False) -> None:
         self.component = component
         self.function = function
+        self.is_own = is_own
 
 
 class Told:

@@ -17,7 +17,7 @@ from __future__ import annotations
 import contextlib
 import sys
 import threading
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pykka
 from pykka._envelope import Envelope
@@ -52,7 +52,26 @@ class Flag:
         return self._on
 
 
-class PykkaActor(pykka.Actor):
+if TYPE_CHECKING:
+
+    class _Actor:
+        """pykka's actor as type checkers see it: pykka says of its hooks that they return nothing."""
+
+        def __init__(self, *args: Any, **others: Any) -> None: ...
+
+        @classmethod
+        def start(cls, *args: Any, **others: Any) -> pykka.ActorRef[Any]: ...
+
+        @property
+        def actor_ref(self) -> pykka.ActorRef[Any]: ...
+
+        actor_inbox: Any
+        actor_stopped: Any
+else:
+    _Actor = pykka.Actor
+
+
+class PykkaActor(_Actor):
     """A pykka actor that runs as Pancakes has it, and answers pykka's references, proxies and futures."""
 
     __slots__ = ()
@@ -68,7 +87,7 @@ class PykkaActor(pykka.Actor):
             self.actor_inbox.put(Envelope(ActorStop()))
 
 
-def handle_envelope(actor: pykka.Actor, envelope: Envelope[Any]) -> None:
+def handle_envelope(actor: Any, envelope: Envelope[Any]) -> None:
     """Handle what came by a reference: `tell`, `ask`, a proxy's call, `stop`. In the actor."""
     try:
         response = actor._handle_receive(envelope.message)  # noqa: SLF001

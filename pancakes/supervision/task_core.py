@@ -20,9 +20,9 @@ from pancakes.durable.delivery import Incoming
 from pancakes.errors import ControlRefused, PancakesError
 from pancakes.kernel.actor import ActorCore
 from pancakes.kernel.handlers import checked_period, period_of
-from pancakes.kernel.mailbox import Mailbox, Reference, tell
+from pancakes.kernel.mailbox import Mailbox, Reference, Told, tell
 from pancakes.kernel.registry import SettingsNote
-from pancakes.packet import Fence, Packet
+from pancakes.packet import Fence
 from pancakes.settings import SettingsError, change_settings, make_settings, plain_settings, why_unreadable
 from pancakes.supervision.messages import (
     Carried,
@@ -70,7 +70,7 @@ class TaskCore(ActorCore):
         tells_each_turn: whether its service hears what it carries after each turn.
     """
 
-    facade: Task
+    facade: Task[Any, Any]
 
     def __init__(
         self,
@@ -196,34 +196,15 @@ class TaskCore(ActorCore):
                 raise TypeError("; ".join(str(msgspec.structs.replace(it, path=(name, *it.path))) for it in problems))
         return plain
 
-    def take_letter(self, stream: str, seq: int, first: int, packet: Packet | None, sender: str = "") -> bool:
-        """Handle a packet addressed to this task wherever it is, if it is the next of its stream. In the actor.
-
-        Args:
-            stream: its sender's stream.
-            seq: its number in that stream.
-            first: the lowest number that may still come.
-            packet: the packet; None: it is given up, and the next one may follow.
-            sender: the agent that sent it.
-
-        Returns:
-            Whether it has had its effect, now or before.
-        """
-        if self.actor_inbox.paused or self.actor_stopped.is_set() or not self.acts():
-            return False
-        if self.__heard.is_old(stream, seq):
-            return True
-        if not self.__heard.is_next(stream, seq, first):
-            return False
-        if packet is not None:
-            self.run_handlers(packet)
-        self.__heard.took(stream, seq, sender)
-        return True
-
     def take_message(self, message: Any) -> Any:
         match message:
             case ChangeTask():
-                self.__take_change(message)
+                if self.awaited is not None and isinstance(message.body, Configure):
+                    self.keep_back(
+                        Told(self, message)
+                    )  # `on_settings` is its author's code, and waits as all of it does
+                else:
+                    self.__take_change(message)
             case Look():
                 self.__look()
             case StandStill():
@@ -259,13 +240,30 @@ class TaskCore(ActorCore):
         self.__tell(stood)
 
     def __take(self, message: Give) -> None:
+        """Handle a packet addressed to this task wherever it is, if it is the next of its stream; then say so."""
         letter = message.letter
-        try:
-            took = self.take_letter(letter.stream, letter.seq, letter.first, message.packet, letter.sender)
-        except BaseException:
-            self.__tell(LetterGiven(self, message, LetterOutcome.FAILED))
-            raise
-        self.__tell(LetterGiven(self, message, LetterOutcome.TAKEN if took else LetterOutcome.EARLY))
+        if self.actor_inbox.paused or self.actor_stopped.is_set() or not self.acts():
+            self.__tell(LetterGiven(self, message, LetterOutcome.EARLY))
+        elif self.__heard.is_old(letter.stream, letter.seq):
+            self.__tell(LetterGiven(self, message, LetterOutcome.TAKEN))
+        elif not self.__heard.is_next(letter.stream, letter.seq, letter.first):
+            self.__tell(LetterGiven(self, message, LetterOutcome.EARLY))
+        elif message.packet is None:  # it is given up, and the next one may follow
+            self.__took(message)
+        else:
+            try:
+                self.run_handlers(message.packet)
+            except BaseException:
+                self.__tell(LetterGiven(self, message, LetterOutcome.FAILED))
+                raise
+            if self.awaited is not None:
+                self.awaited.failed.append(lambda: self.__tell(LetterGiven(self, message, LetterOutcome.FAILED)))
+            self.after_awaiting(lambda: self.__took(message))
+
+    def __took(self, message: Give) -> None:
+        letter = message.letter
+        self.__heard.took(letter.stream, letter.seq, letter.sender)
+        self.__tell(LetterGiven(self, message, LetterOutcome.TAKEN))
 
     def answer_change(self, change: ChangeTask, reason: str, result: Mapping[str, Any]) -> None:
         """Answer a change that took longer than one turn; an empty reason means that it has been done."""

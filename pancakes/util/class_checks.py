@@ -110,7 +110,7 @@ def given_in(cls: type) -> Iterator[tuple[type, str, Any]]:
 _STARRED: Final = inspect.CO_VARARGS | inspect.CO_VARKEYWORDS
 
 
-def check_called(function: Any, given: Sequence[str], caller: str, write: str) -> None:
+def check_called(function: Any, given: Sequence[str], caller: str, write: str, *, may_await: bool = False) -> None:
     """Refuse a function that cannot be called as Pancakes will call it.
 
     Args:
@@ -118,6 +118,7 @@ def check_called(function: Any, given: Sequence[str], caller: str, write: str) -
         given: the names of its arguments, in order, including `self`.
         caller: what calls it, and with what arguments, as a clause: `@every calls it with a Tick`.
         write: what to write instead: `def blink(self, tick: Tick) -> None`.
+        may_await: whether it may be `async def`; whether its class may have such a method, `check_awaits` says.
 
     Raises:
         ClassError: it is not a function, is `async def`, has a `yield`, or takes other arguments. The sentence names
@@ -129,9 +130,33 @@ def check_called(function: Any, given: Sequence[str], caller: str, write: str) -
         )
     if not callable(function):
         raise ClassError(f"{function!r} is not a method, and {caller}: write `{write}`")
-    check_runs(function, write)
+    if not (may_await and is_async(function)):
+        check_runs(function, write)
     if not takes(function, len(given)):
         raise ClassError(f"{_head(function)} takes {_parameters(function)}, and {caller}: write `{write}`")
+
+
+def is_async(function: Any) -> bool:
+    """Return whether a function is `async def` and has no `yield`, so that a call of it makes something to await."""
+    return inspect.iscoroutinefunction(function)
+
+
+def check_awaits(cls: type, what: str) -> None:
+    """Refuse a class of which no method may be `async def`, if one with `@on` or `@every` is.
+
+    Args:
+        cls: the class.
+        what: what it is: `a service`.
+
+    Raises:
+        ClassError: names the file, the line and the method.
+    """
+    for part, name, value in given_in(cls):
+        if marks_of(value) and is_async(value):
+            raise ClassError(
+                f"{place_of_function(value)}: {part.__qualname__}.{name} is `async def`, and {what} awaits nothing,"
+                " as others wait for it: let a task do that"
+            )
 
 
 def check_runs(function: Any, write: str) -> None:
@@ -146,8 +171,8 @@ def check_runs(function: Any, write: str) -> None:
     """
     if inspect.iscoroutinefunction(function) or inspect.isasyncgenfunction(function):
         raise ClassError(
-            f"{_head(function)} is `async def`, and an actor cannot await: write"
-            f" `{write or 'def'}`, and wait for a packet with @on, or for a time with @every or after"
+            f"{_head(function)} is `async def`, and nothing awaits it: write `{write or 'def'}`. A task awaits its"
+            " methods with @on and @every, on_start and on_stop"
         )
     if inspect.isgeneratorfunction(function):
         raise ClassError(
@@ -155,10 +180,14 @@ def check_runs(function: Any, write: str) -> None:
         )
 
 
-def check_overrides(cls: type) -> None:
+def check_overrides(cls: type, awaited: Collection[str] = ()) -> None:
     """Refuse methods of a class that override a method of Pancakes but cannot be called like it.
 
     Its mix-ins are checked too.
+
+    Args:
+        cls: the class.
+        awaited: the names of those that may be `async def`.
 
     Raises:
         ClassError: one is not a function, is `async def`, does nothing when it is called, or takes other arguments.
@@ -169,7 +198,7 @@ def check_overrides(cls: type) -> None:
         behind = cls.__mro__[cls.__mro__.index(part) + 1 :]
         original = next((vars(base)[name] for base in behind if is_own(base) and name in vars(base)), None)
         if isinstance(original, (FunctionType, classmethod, staticmethod)):
-            _check_override(part, name, value, original)
+            _check_override(part, name, value, original, name in awaited)
 
 
 def definition_of(original: Any, name: str = "") -> str:
@@ -180,7 +209,7 @@ def definition_of(original: Any, name: str = "") -> str:
     return f"{mark}def {name or function.__name__}({parameters})"
 
 
-def _check_override(part: type, name: str, value: Any, original: Any) -> None:
+def _check_override(part: type, name: str, value: Any, original: Any, may_await: bool) -> None:
     write, meant = definition_of(original, name), getattr(original, "__func__", original)
     function = getattr(value, "__func__", value)
     if type(value) is not type(original) or not isinstance(function, FunctionType):
@@ -188,10 +217,11 @@ def _check_override(part: type, name: str, value: Any, original: Any) -> None:
             f"{_place(part, function)}: {part.__qualname__}.{name} is {_kind(value)}, and overrides"
             f" {meant.__qualname__}{_parameters(meant)}, which Pancakes calls: write `{write}`"
         )
-    if not inspect.iscoroutinefunction(meant) and inspect.iscoroutinefunction(function):
+    if not inspect.iscoroutinefunction(meant) and is_async(function) and not may_await:
         check_runs(function, write)
-    if meant.__annotations__.get("return") in (None, "None"):
-        check_runs(function, write)
+    if meant.__annotations__.get("return") in (None, "None") or may_await:
+        if not (may_await and is_async(function)):
+            check_runs(function, write)
     count = _plain_count(function)
     if count is not None and count == _plain_count(meant):
         return
@@ -258,6 +288,8 @@ SUBSCRIPTIONS: Final = "__subscriptions__"
 """The attribute of a method that `@on` leaves."""
 PERIOD: Final = "__period__"
 """The attribute of a method that `@every` leaves."""
+GIVEN: Final = "__given__"
+"""The attribute of a method that `@on` leaves besides: what it is called with."""
 
 
 def marks_of(function: Any) -> str:
@@ -434,12 +466,14 @@ class Made(NamedTuple):
         instead: where the author's code belongs instead.
         gives: an attribute that the `__init__` of Pancakes sets, and without which nothing works; empty: `__init__`
             need not be called.
+        awaited: the hooks that may be `async def`; empty: none of its methods may.
     """
 
     given: tuple[str, ...]
     what: str
     instead: str
     gives: str = ""
+    awaited: tuple[str, ...] = ()
 
 
 def check_made(cls: type) -> None:

@@ -324,6 +324,7 @@ class Runner:
     blocking = True
     author_class = object
     facade = None
+    loop = None
 
     def __init__(self, mailbox: Mailbox, turn: Callable[[], object]) -> None:
         self.actor_inbox = mailbox
@@ -332,6 +333,9 @@ class Runner:
 
     def acts(self) -> bool:
         return True
+
+    def may_await(self) -> bool:
+        return False
 
     def take_turn(self, slice_s: float | None) -> None:
         self.turn()
