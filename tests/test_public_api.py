@@ -12,6 +12,7 @@ import configparser
 import difflib
 import importlib
 import inspect
+import subprocess
 import sys
 import textwrap
 from collections.abc import Iterator, Mapping
@@ -22,6 +23,7 @@ from typing import Any, ForwardRef
 
 import click
 import msgspec
+import pytest
 
 from pancakes.tools.cli.agent_command import agent as pancakes_agent
 from pancakes.tools.cli.main import pancakes
@@ -59,6 +61,21 @@ def test_public_api_is_as_written_down():
     assert not shown, f"the public API has changed:\n{shown}\n\nIf that is meant: {WRITE}, and a line in CHANGELOG.md"
 
 
+def test_public_names_are_loaded_when_they_are_used():
+    code = (
+        "import sys, pancakes; before = {name for name in sys.modules if name.startswith('pancakes')}; "
+        "assert before == {'pancakes'}, before; from pancakes import Task; assert 'pancakes.client' not in sys.modules; "
+        "names = [name for name in dir(pancakes) if not name.startswith('_')]; "
+        "assert all(hasattr(pancakes, name) for name in names) and 'Client' in names"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_name_that_is_not_public_is_refused():
+    with pytest.raises(ImportError, match="cannot import name 'Tsk'"):
+        from pancakes import Tsk  # noqa: F401
+
+
 def api() -> list[str]:
     """Returns the public API, a name with its signature in a line."""
     lines = [line for name in MODULES for line in of_module(importlib.import_module(name))]
@@ -70,6 +87,8 @@ def api() -> list[str]:
 
 def of_module(module: ModuleType) -> Iterator[str]:
     """Returns the lines of a module: what it exports, or else what it defines without an underscore."""
+    for name, origin in getattr(module, "_MODULE_OF", {}).items():
+        yield f"{module.__name__}.{name}: of {origin}"
     tree = ast.parse(inspect.getsource(module))
     exported: list[str] | None = getattr(module, "__all__", None)
     assigned = dict(assigned_in(tree.body))
