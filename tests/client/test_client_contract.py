@@ -328,8 +328,7 @@ def test_where_it_is_not_known_whether_all_has_arrived_the_end_of_with_says_so(
             stack.enter_context(counting.frozen(counting.b))
     (sentence,) = said
     assert sentence == (
-        "it is not known whether the last published packets have arrived:"
-        " b did not answer: nothing came within 0.5 s"
+        "it is not known whether the last published packets have arrived: b did not answer: nothing came within 0.5 s"
     )
 
 

@@ -48,7 +48,7 @@ class Kept:
         return found
 
     def wait(self, condition: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
-        """Wait until the status is as it should be; returns it."""
+        """Wait until the status is as it should be; return it."""
         until_s = time.monotonic() + PATIENCE_S
         while not condition(status := self.status()):
             assert time.monotonic() < until_s, status

@@ -39,7 +39,7 @@ def test_a_sound_reading_between_begins_the_row_anew(in_a_row):
 
 def test_one_miss_in_each_span_is_told_once_in_each():
     readings = Readings(MissRule(within_s=10.0), "command", None, 0.0)
-    told = []
+    told: list[tuple[str, str]] = []
     for step in range(400):
         told += readings.missed("noise", step * 0.1)[0] if step % 100 == 50 else readings.came(step * 0.1)
     assert [text for _, text in told] == [

@@ -217,9 +217,7 @@ def test_what_names_no_socket_is_said(rig, address):
 
 
 def test_an_unknown_group_is_said(rig):
-    with pytest.raises(
-        PancakesError, match="cannot listen at local://a: the group 'pancakers' of"
-    ):
+    with pytest.raises(PancakesError, match="cannot listen at local://a: the group 'pancakers' of"):
         of_a_group(rig, "pancakers").listen("local://a", rig.ear)
 
 

@@ -61,14 +61,14 @@ class Fleet:
 
 @contextmanager
 def page(server: PageServer, **options: Any) -> Iterator[ClientConnection]:
-    """Open what the page opens, and shows the token."""
+    """Open what the page opens, and show the token."""
     with stranger(server, **options) as connection:
         assert ask(connection, "hello", token=server.token)["ok"]
         yield connection
 
 
 def stranger(server: PageServer, **options: Any) -> ClientConnection:
-    """Open what the page opens, and says nothing."""
+    """Open what the page opens, and say nothing."""
     origin = f"http://127.0.0.1:{server.port}"
     return connect(
         f"ws://127.0.0.1:{server.port}/news", origin=options.pop("origin", origin), compression=None, **options
@@ -76,7 +76,7 @@ def stranger(server: PageServer, **options: Any) -> ClientConnection:
 
 
 def ask(connection: ClientConnection, what: str, **fields: Any) -> dict[str, Any]:
-    """Ask for something, and returns the answer among all the news."""
+    """Ask for something, and return the answer among all the news."""
     connection.send(json.dumps({"id": 7, "ask": what, **fields}))
     return answer_to(connection, 7)
 

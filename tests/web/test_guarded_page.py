@@ -12,7 +12,7 @@ GUARDED = WALKING + 'guard = 3\nlease_s = 2.0\ncheckpoint_s = 0.2\nguardians = [
 
 
 def guarding(rig: Rig) -> tuple[Running, Running]:
-    """Start a, b and c, which guard the task on a; returns b and c."""
+    """Start a, b and c, which guard the task on a; return b and c."""
     rig.install("walk", "[pancakes.tasks]\nwalk.Walk = plugin_walk:Walk\n", WALK)
     others = rig.ready("b"), rig.ready("c")
     peers = ", ".join(f'"{rig.address(other)}"' for other in others)

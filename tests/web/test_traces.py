@@ -33,7 +33,7 @@ class Fleet:
         self.agents["a"].hear((ms + 6) * MS, given)
 
     def ask(self, name: str, ms: int) -> Any:
-        """Ask an agent as the page does; returns the commands of which all is known then."""
+        """Ask an agent as the page does; return the commands of which all is known then."""
         asked = self.traces.question(name)
         result = self.agents[name].answer(asked, ms * MS)
         self.traces.take(name, asked.packets, result, t=ms / 1e3)

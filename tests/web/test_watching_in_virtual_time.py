@@ -21,7 +21,7 @@ ENCIRCLEMENT = Path(__file__).parents[2] / "configs" / "encirclement"
 
 
 def fly(watch: VirtualWatch | None, place: Path) -> list[dict[str, Any]]:
-    """Run the first seconds of a mission; returns what its agents ended up as."""
+    """Run the first seconds of a mission; return what its agents ended up as."""
     fleet = Fleet(seed=3)
     try:
         for name in ("world", "agent1", "sensor"):

@@ -48,7 +48,7 @@ class Seen:
         self.feed = Telling()
 
     def wait(self, condition: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
-        """Wait until the frame with everything meets a condition; returns it."""
+        """Wait until the frame with everything meets a condition; return it."""
         frame: dict[str, Any] = {}
 
         def met() -> bool:
