@@ -45,7 +45,6 @@ if TYPE_CHECKING:
     from pancakes.task import Tick as Tick
     from pancakes.task import every as every
     from pancakes.task import on as on
-    from pancakes.task import queue as queue
     from pancakes.task import reliable as reliable
 
 _MODULES = {
@@ -62,7 +61,7 @@ _MODULES = {
     "pancakes.service": ("Service",),
     "pancakes.settings": ("FilePath", "NotNegative", "Positive"),
     "pancakes.simulation": ("Simulation",),
-    "pancakes.task": ("Task", "Tick", "every", "on", "queue", "reliable"),
+    "pancakes.task": ("Task", "Tick", "every", "on", "reliable"),
 }
 _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
 

@@ -305,7 +305,8 @@ class SetFence(msgspec.Struct, frozen=True):
 class Migrations(msgspec.Struct, frozen=True):
     """Ask an agent for the newest accounts of migrations from it, also those of earlier boots.
 
-    The `result` is a list of plain mappings, oldest first: those of `Ledger`, `number`, `boot`, `mission_s`, `reason`.
+    The `result` is a list of plain mappings, oldest first: those of `MigrationReport`, `number`, `boot`, `mission_s`,
+    `reason`.
     """
 
 
@@ -453,14 +454,14 @@ class Follow(msgspec.Struct, frozen=True):
     Attributes:
         channel: the channel.
         types: only packets of these types; empty: all.
-        foreign: whether packets count that came to that channel from other agents.
+        include_remote: whether packets count that came to that channel from other agents.
         most_hz: at most this many packets a second (host time) of each source and type, the newest that came, together;
             for a client that only shows the present state. 0.001 or more; 0: all, each at once.
     """
 
     channel: str
     types: tuple[str, ...] = ()
-    foreign: bool = False
+    include_remote: bool = False
     most_hz: float = 0.0
 
 

@@ -184,27 +184,27 @@ class RemoteProtocolError(WireError):
     """The peer sent what the protocol forbids. Its link is closed; nothing else is touched."""
 
 
-class UnknownChannel(PancakesError):
+class UnknownChannelError(PancakesError):
     """A packet was published to a channel that the information stream does not have."""
 
     code = "not_found"
 
 
-class MailboxFull(PancakesError):
+class MailboxFullError(PancakesError):
     """A `reliable` subscriber has no room: no subscriber got the packet, the publisher may try again."""
 
     code = "busy"
     retry_after_s = RETRY_S
 
 
-class NoPermit(PancakesError):
+class NoPermitError(PancakesError):
     """A guarded task may not act now: its guardians do not answer, and may have given it to another agent."""
 
     code = "busy"
     retry_after_s = RETRY_S
 
 
-class ControlRefused(PancakesError):
+class ControlRefusedError(PancakesError):
     """A control packet was understood and refused. The message is the reason for people.
 
     Args:
@@ -219,24 +219,24 @@ class ControlRefused(PancakesError):
         self.retry_after_s = RETRY_S if code == "busy" and retry_after_s is None else retry_after_s
 
     @classmethod
-    def of(cls, refusal: Refusal | None) -> ControlRefused:
+    def of(cls, refusal: Refusal | None) -> ControlRefusedError:
         """Return the error for what an agent has answered."""
         if refusal is None:
             return cls("it was refused without a reason", "failed")
         return cls(refusal.text, refusal.code, refusal.retry_after_s)
 
 
-class Unreachable(PancakesError):
+class UnreachableError(PancakesError):
     """An agent that was asked for something did not answer."""
 
     code = "unable"
 
 
-class NoAnswer(Unreachable):
+class NoAnswerError(UnreachableError):
     """An agent was asked for something, and whether it does it is not known."""
 
 
-class NothingCame(PancakesError, TimeoutError):
+class NoPacketError(PancakesError, TimeoutError):
     """Nothing was published in time on a channel that a program listens to."""
 
 
@@ -246,11 +246,11 @@ class MigrationError(PancakesError):
     code = "unable"
 
 
-class NoCandidate(MigrationError):
+class NoCandidateError(MigrationError):
     """No neighbour can take the task. The message has each neighbour's reason."""
 
 
-class PeerLost(MigrationError):
+class PeerLostError(MigrationError):
     """The peer went away before the hand-off was decided."""
 
 

@@ -195,7 +195,11 @@ def record_of(packet: Packet) -> dict[str, Any]:
     Source and time are those of the packet, whatever an event claims: a field of the event with such a name gets a `_`
     at its end.
     """
-    record: dict[str, Any] = {"t_s": round(packet.stamp, 6), "agent": agent_of(packet.source), "source": packet.source}
+    record: dict[str, Any] = {
+        "t_s": round(packet.stamp_s, 6),
+        "agent": agent_of(packet.source),
+        "source": packet.source,
+    }
     body = packet.body
     if isinstance(body, Event):
         record["kind"] = body.kind

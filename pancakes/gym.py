@@ -72,7 +72,7 @@ class Pilot(Task):
     infrared: Infrared | None = None
     _wheels = STILL
 
-    @on(CTRL, WheelSpeeds, keep="latest")
+    @on(CTRL, WheelSpeeds, queue="latest")
     def set_speeds(self, packet: Packet) -> None:
         """Drive at new speeds."""
         self._wheels = Wheels(packet.body.left_mps, packet.body.right_mps)
@@ -86,12 +86,12 @@ class Pilot(Task):
     def _drive(self) -> None:
         self.publish(CTRL, robot_model(self.settings.model).drive.twist(self._wheels))
 
-    @on(SYSTEM, Pose, keep="latest")
+    @on(SYSTEM, Pose, queue="latest")
     def keep_pose(self, packet: Packet) -> None:
         """Keep the newest pose."""
         self.pose = packet.body
 
-    @on(SYSTEM, Infrared, keep="latest")
+    @on(SYSTEM, Infrared, queue="latest")
     def keep_infrared(self, packet: Packet) -> None:
         """Keep the newest sweep of the infrared ring."""
         self.infrared = packet.body

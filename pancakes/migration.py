@@ -3,7 +3,8 @@
 `MigrationRule` says when a task migrates by itself, `Cost` what each neighbour asks for it, and `GuardRule` how many
 guardians remember its owner. Cost functions are plug-ins (entry point group `pancakes.costs`; paper §3.4). Costs of
 different kinds are compared by weights, as in `cost = { tasks = 1.0, battery = 2.0 }`, so each cost function
-documents its unit. A `Ledger` says who was asked for a migration, what each answered, who won, and why others did not.
+documents its unit. A `MigrationReport` says who was asked for a migration, what each answered, who won, and why others
+did not.
 """
 
 from __future__ import annotations
@@ -376,7 +377,7 @@ class Line(msgspec.Struct, frozen=True):
 
 
 @packet_type("migration.ledger")
-class Ledger(msgspec.Struct, frozen=True):
+class MigrationReport(msgspec.Struct, frozen=True):
     """The whole account.
 
     Attributes:
@@ -407,11 +408,11 @@ class Ledger(msgspec.Struct, frozen=True):
     to: str = ""
     cause: str = ""
 
-    def moved(self, offer: str) -> Ledger:
+    def moved(self, offer: str) -> MigrationReport:
         """Return the account of a move that was undecided: the hand-over has happened."""
         return replace(self, outcome="moved", offer=offer)
 
-    def stayed(self, offer: str, reason: str) -> Ledger:
+    def stayed(self, offer: str, reason: str) -> MigrationReport:
         """Return the account of a move that was undecided: the hand-over has come to nothing."""
         lines = tuple(
             replace(line, fate="failed", reason=reason) if line.peer == self.winner else line for line in self.lines

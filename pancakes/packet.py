@@ -149,7 +149,7 @@ class Packet(msgspec.Struct, Generic[Body_co], frozen=True, gc=False):
         type: the name of the type of its body.
         source: address of the publisher.
         destination: see the module's text.
-        stamp: mission time at the publisher, in seconds.
+        stamp_s: mission time at the publisher, in seconds.
         seq: number of this packet among its source's packets. Each life of an agent counts on from another place, so
             that source and number name one packet for good.
         body: a registered dataclass, or a plain mapping if the type is unknown here.
@@ -161,7 +161,7 @@ class Packet(msgspec.Struct, Generic[Body_co], frozen=True, gc=False):
     type: str
     source: str
     destination: str
-    stamp: float
+    stamp_s: float
     seq: int
     body: Body_co
     cause: Cause | None = None

@@ -26,7 +26,7 @@ from pancakes.errors import PancakesError, describe
 from pancakes.packet import field_names, has_fields
 from pancakes.util import codecs
 from pancakes.util.arrays import array_of, check_items, is_array, is_array_type, is_number
-from pancakes.util.files import NoPath, at_home
+from pancakes.util.files import NoPathError, at_home
 from pancakes.util.text import key_for, suggestion, written_for
 
 _T = TypeVar("_T")
@@ -329,7 +329,7 @@ def _with_paths_at_home(cls: type, plain: Mapping[str, Any]) -> Mapping[str, Any
     """Return plain values in which each path of a file (see `FilePath`) that begins with `~` is a whole one.
 
     Raises:
-        NoPath: nothing says where that is, or it is no path.
+        NoPathError: nothing says where that is, or it is no path.
     """
     for key, path in list(paths_in(cls, plain)):
         whole = at_home(path)
@@ -387,7 +387,7 @@ def _no_paths(cls: type, settings: Any) -> Iterator[tuple[tuple[str | int, ...],
     for path, text in paths_in(cls, settings) if _may_name_files(cls) else ():
         try:
             at_home(text)
-        except NoPath as error:
+        except NoPathError as error:
             yield path, str(error)
 
 

@@ -37,7 +37,7 @@ import msgspec
 
 from pancakes.control import Migrate
 from pancakes.kernel.actor import COMPONENT_HOOKS, Component
-from pancakes.kernel.handlers import HOOKS_AWAITED, Tick, every, on, queue, reliable
+from pancakes.kernel.handlers import HOOKS_AWAITED, Tick, every, on, reliable
 from pancakes.kernel.mailbox import Mailbox
 from pancakes.migration import CostChoice, GuardRule, MigrationRule
 from pancakes.packet import SYSCTRL
@@ -57,7 +57,7 @@ else:
     SettingsT = TypeVar("SettingsT")
     StateT = TypeVar("StateT")
 
-__all__ = ["Task", "TaskSpec", "Tick", "every", "on", "queue", "reliable"]
+__all__ = ["Task", "TaskSpec", "Tick", "every", "on", "reliable"]
 
 
 class TaskSpec(msgspec.Struct, frozen=True):

@@ -127,10 +127,10 @@ class Leaks:
         """Return the agents that it watches."""
         return [agent for ask in self._agents for agent in ask()]
 
-    def left(self, at_most_s: float = LEAK_PATIENCE_S, *, only_threads: bool = False) -> str:
+    def left(self, timeout_s: float = LEAK_PATIENCE_S, *, only_threads: bool = False) -> str:
         """Wait until nothing is left, or the time is up; return a sentence about what is left, empty if nothing is."""
         clock = MonotonicClock()
-        until_s = clock.now() + at_most_s
+        until_s = clock.now() + timeout_s
         collected = False
         pause = threading.Event()
         while True:
@@ -175,29 +175,29 @@ def _open_descriptors() -> list[tuple[int, str]]:
 
 
 @contextmanager
-def no_leak(at_most_s: float = LEAK_PATIENCE_S) -> Iterator[Leaks]:
+def no_leak(timeout_s: float = LEAK_PATIENCE_S) -> Iterator[Leaks]:
     """Fail if threads, sockets or files that were made inside of the `with` are still there shortly after it.
 
     Agents that the `Leaks` watches must have ended too, with all of their actors.
 
     Args:
-        at_most_s: how long, in seconds of the host, they may take to end.
+        timeout_s: how long, in seconds of the host, they may take to end.
 
     Raises:
         AssertionError: names what is left.
     """
     leaks = Leaks()
     yield leaks
-    left = leaks.left(at_most_s)
+    left = leaks.left(timeout_s)
     assert not left, left
 
 
 @contextmanager
-def no_thread_left(at_most_s: float = LEAK_PATIENCE_S) -> Iterator[None]:
+def no_thread_left(timeout_s: float = LEAK_PATIENCE_S) -> Iterator[None]:
     """Fail if threads that began inside of the `with` have not ended shortly after it; see `no_leak`."""
     leaks = Leaks()
     yield
-    left = leaks.left(at_most_s, only_threads=True)
+    left = leaks.left(timeout_s, only_threads=True)
     assert not left, left
 
 
@@ -286,5 +286,5 @@ def _document(agent: str, packet: Packet, before: str = "") -> str:
     try:
         text = text_of(record_of(agent, packet))
     except (TypeError, ValueError):  # what is published within one agent may contain anything
-        text = f"type: {packet.type}\nsource: {packet.source}\nstamp: {packet.stamp:.9g}\nbody: {packet.body!r}\n---"
+        text = f"type: {packet.type}\nsource: {packet.source}\nstamp: {packet.stamp_s:.9g}\nbody: {packet.body!r}\n---"
     return f"# {before}on {packet.channel}{to}\n{text}"

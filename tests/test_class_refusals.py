@@ -30,7 +30,7 @@ from pancakes.devices.driver import Actuator, Sensor
 from pancakes.migration import Cost
 from pancakes.durable.client_service import ClientService
 from pancakes.service import Service
-from pancakes.task import Task, every, on, queue
+from pancakes.task import Task, every, on, reliable
 class Gripper: ...
 """
 
@@ -82,7 +82,7 @@ METHODS = [
     ("Task", "@on('system')\n    def seen(): ...", "def seen(self, packet: Packet) -> None"),
     (
         "Task",
-        "@on('system')\n    @on('ctrl', keep=queue(3))\n    def seen(self): ...",
+        "@on('system')\n    @on('ctrl', queue=3)\n    def seen(self): ...",
         "def seen(self, packet: Packet) -> None",
     ),
     ("Task", "@on('system')\n    @staticmethod\n    def seen(packet): ...", "def seen(self, packet: Packet) -> None"),
@@ -95,11 +95,11 @@ METHODS = [
     ("Task", "def on_settings(self, settings): ...", "def on_settings(self)"),
     ("Service", "async def own_tasks(self): ...", "def own_tasks(self)"),
     ("Service", "def own_tasks(self, more): ...", "def own_tasks(self)"),
-    ("Sensor", "type = 'pose'\n    async def sample(self): ...", "def sample(self)"),
+    ("Sensor", "type = 'pose'\n    async def read(self): ...", "def read(self)"),
     (
         "Actuator",
-        "type = 'motors'\n    def apply(self, command): ...",
-        "def apply(self, command, ttl_s, source)",
+        "type = 'motors'\n    def write(self, command): ...",
+        "def write(self, command, ttl_s, source)",
     ),
     ("Cost", "name = 'mine'\n    def terms(self): ...", "def terms(self, facts)"),
 ]
@@ -196,7 +196,7 @@ class Camera(Sensor):
     @dataclass
     class Settings:
         device: Path = Path("/dev/video0")
-    def sample(self): ...
+    def read(self): ...
 """
     assert f":{line_of(text, 'device:')}: Camera.Settings.device is a path" in refusal(module_of, text)
 
@@ -325,7 +325,7 @@ NOT_FREE = [
     ("Service", "def on_start(self):\n        self._actor, self.mine = {}, 1", "self._actor"),
     ("ClientService", "def call(self, function): ...", "call"),
     ("ClientService", "def on_start(self):\n        self.name = []", "self.name"),
-    ("Sensor", "def settings(self): ...\n    def sample(self): ...", "def settings"),
+    ("Sensor", "def settings(self): ...\n    def read(self): ...", "def settings"),
     ("Actuator", "def context(self): ...", "context"),
 ]
 
@@ -361,7 +361,7 @@ class Camera(Sensor):
     blocking = True
     def open(self):
         self.handle = 1
-    def sample(self): ...
+    def read(self): ...
 class Bridge(Service):
     only_name = "bridge"
     def own_tasks(self):
@@ -398,21 +398,23 @@ def test_one_word_for_a_tuple_of_words_is_refused(module_of, name):
     assert "and no tuple of names" in refusal(module_of, f"class Robot(Task):\n    {name} = (1, '')\n")
 
 
-KEEPS = ["'latst'", "5", "None", "queue(0)", "queue(-1)", "queue('5')", "queue(2.5)", "queue(True)"]
+QUEUES = ["'latst'", "0", "None", "reliable(0)", "-1", "'5'", "2.5", "True"]
 
 
-@pytest.mark.parametrize("keep", KEEPS)
-def test_keep_that_is_none_is_refused_where_it_is_written(module_of, keep):
+@pytest.mark.parametrize("queue", QUEUES)
+def test_queue_policy_is_refused_where_it_is_written(module_of, queue):
     """It would fail whoever publishes, and not the task that wrote it."""
-    said = refusal(module_of, f"class Robot(Task):\n    @on('system', keep={keep})\n    def seen(self, packet): ...\n")
-    assert said.startswith(("keep is ", "queue takes "))
+    said = refusal(
+        module_of, f"class Robot(Task):\n    @on('system', queue={queue})\n    def seen(self, packet): ...\n"
+    )
+    assert said.startswith(("queue is ", "a queue takes "))
 
 
-def test_keep_that_is_none_fails_the_task_that_subscribes(fleet):
+def test_queue_policy_fails_the_task_that_subscribes(fleet):
     class Subscribes(Task):
         def on_start(self):
-            self.subscribe("system", Load, self.seen, keep="latest")
-            self.subscribe("system", Load, self.seen, keep="last")  # type: ignore[arg-type]
+            self.subscribe("system", Load, self.seen, queue="latest")
+            self.subscribe("system", Load, self.seen, queue="last")  # type: ignore[arg-type]
 
         def seen(self, packet): ...
 
@@ -431,7 +433,7 @@ IN_A_MIXIN = [
     ("Service", "@dataclass\n    class Settings:\n        what: Any = None", "Mixin.Settings.what may be anything"),
     ("Service", "@staticmethod\n    def own_tasks(): ...", "Mixin.own_tasks is a staticmethod"),
     ("Service", "def refuse_stop(self, kernel, name, arguments, for_s): ...", "Mixin.refuse_stop is a function"),
-    ("Sensor", "async def sample(self): ...", "Mixin.sample is `async def`"),
+    ("Sensor", "async def read(self): ...", "Mixin.sample is `async def`"),
     ("Sensor", "def hardware(self, settings): ...", "Mixin.hardware is a function"),
     ("Cost", "def terms(self): ...", "Mixin.terms takes (self)"),
 ]
@@ -570,12 +572,12 @@ class Counts:
 class Robot(Counts, Task): ...
 class Camera(Counts, Sensor):
     type = "pose"
-    def sample(self): ...
+    def read(self): ...
 class Gauge(Sensor):
     type = "load"
     def __init__(self, context, settings):
         self.mine = settings
-    def sample(self): ...
+    def read(self): ...
 @dataclass
 class Near(Cost):
     weight: float = 1.0
@@ -593,16 +595,16 @@ DECORATED = [
     ("tasks", "@dataclass(init=False)\nclass Robot(Task): ...\n"),
     ("tasks", "@dataclass\nclass Mixin:\n    speed: float = 1.0\nclass Robot(Mixin, Task): ...\n"),
     ("services", "@dataclass\nclass Robot(Service):\n    speed: float = 1.0\n"),
-    ("drivers", "@dataclass\nclass Robot(Sensor):\n    type = 'x'\n    def sample(self): ...\n"),
+    ("drivers", "@dataclass\nclass Robot(Sensor):\n    type = 'x'\n    def read(self): ...\n"),
     ("costs", "@dataclass\nclass Robot(Cost):\n    weight: float\n    def terms(self, facts): ...\n"),
 ]
 ABSTRACT = [
     (
         "drivers",
-        "class Robot(Actuator):\n    type = 'x'\n    def apply(self, command, ttl_s, source): ...\n",
+        "class Robot(Actuator):\n    type = 'x'\n    def write(self, command, ttl_s, source): ...\n",
         "`def hold(",
     ),
-    ("drivers", "class Robot(Sensor):\n    type = 'x'\n", "`def sample(self)`"),
+    ("drivers", "class Robot(Sensor):\n    type = 'x'\n", "`def read(self)`"),
     ("costs", "class Robot(Cost): ...\n", "`def terms(self, facts)`"),
     (
         "tasks",

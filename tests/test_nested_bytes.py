@@ -15,12 +15,12 @@ from pancakes.durable.after_migration import Sequel
 from pancakes.durable.record import Record
 from pancakes.durable.snapshot import Snapshot
 from pancakes.errors import MigrationError, PancakesError, RemoteProtocolError
-from pancakes.journal.journal import JournalEntry, Unbelievable, seal, unseal
+from pancakes.journal.journal import DamagedEntryError, JournalEntry, seal, unseal
 from pancakes.mesh.codec import frame, messages_from_payload
 from pancakes.packet import type_name
 from pancakes.recording.message_format import packet_from_data
 from pancakes.sim.hardware_bus import Attach, Refused, ReplyReader, RequestReader
-from pancakes.tools.cli.verbs.publish import BadBody, body_of
+from pancakes.tools.cli.verbs.publish import BadBodyError, body_of
 from pancakes.tools.demo.mission_record import read_events
 from pancakes.util.runtime_dir import entries, runtime_dir
 
@@ -43,7 +43,7 @@ def test_in_the_file_of_a_journal():
     begin = next(end for end, digest in enumerate(digests) if sealed[:end].endswith(digest))
     magic = sealed[: begin - len(digests[0])]
     more = bytes([sealed[begin] + 1]) + sealed[begin + 1 :] + LIST
-    with pytest.raises(Unbelievable, match="it is nested too deep"):
+    with pytest.raises(DamagedEntryError, match="it is nested too deep"):
         unseal("", magic + sha256(more).digest() + more)
 
 
@@ -67,7 +67,7 @@ def test_in_a_recording():
 
 
 def test_on_the_command_line():
-    with pytest.raises(BadBody, match="the body is not JSON: it is nested too deep"):
+    with pytest.raises(BadBodyError, match="the body is not JSON: it is nested too deep"):
         body_of(type_name(Stop("x")), JSON.decode())
 
 

@@ -10,13 +10,13 @@ from services.counting import Count
 from pancakes.control import Configure, Migrate, Migrations, Refusal, Start
 from pancakes.errors import (
     ConfigError,
-    ControlRefused,
-    MailboxFull,
-    NoCandidate,
+    ControlRefusedError,
+    MailboxFullError,
+    NoCandidateError,
     PancakesError,
     RefusalCode,
-    UnknownChannel,
-    Unreachable,
+    UnknownChannelError,
+    UnreachableError,
 )
 from pancakes.settings import SettingsError
 from pancakes.testing import Fleet
@@ -35,11 +35,11 @@ def test_refusal_codes_are_all_documented():
         (ConfigError([]), "invalid"),
         (SettingsError("T", []), "invalid"),
         (ValueError("-1 is no rate"), "invalid"),
-        (UnknownChannel("no such channel"), "not_found"),
-        (MailboxFull("no room"), "busy"),
-        (NoCandidate("no neighbour takes it"), "unable"),
-        (Unreachable("no answer"), "unable"),
-        (ControlRefused("it runs already"), "conflict"),
+        (UnknownChannelError("no such channel"), "not_found"),
+        (MailboxFullError("no room"), "busy"),
+        (NoCandidateError("no neighbour takes it"), "unable"),
+        (UnreachableError("no answer"), "unable"),
+        (ControlRefusedError("it runs already"), "conflict"),
         (PancakesError("it went wrong"), "failed"),
         (KeyError("x"), "failed"),
     ],
@@ -50,14 +50,14 @@ def test_refusal_of_an_error_has_its_code(error, code):
 
 
 def test_refusal_that_is_busy_says_when_to_try_again():
-    error = ControlRefused("it is being moved already", "busy")
+    error = ControlRefusedError("it is being moved already", "busy")
     assert error.retry_after_s is not None and error.retry_after_s > 0
-    assert Refusal.of(ControlRefused("it is stopped already")).retry_after_s is None
+    assert Refusal.of(ControlRefusedError("it is stopped already")).retry_after_s is None
 
 
 def test_refusal_that_came_back_is_raised_as_it_was():
     sent = Refusal("busy", "it is being moved already", 2.5)
-    assert Refusal.of(ControlRefused.of(sent)) == sent
+    assert Refusal.of(ControlRefusedError.of(sent)) == sent
 
 
 def test_refusals_reach_who_asks_with_their_codes():

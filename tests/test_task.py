@@ -11,7 +11,7 @@ from pancakes.devices import Load, Pose, Twist
 from pancakes.errors import ClassError
 from pancakes.settings import SettingsError
 from pancakes.supervision.messages import Carried
-from pancakes.task import Task, every, on, queue, reliable
+from pancakes.task import Task, every, on
 from pancakes.testing import Fleet, assert_published
 
 
@@ -38,7 +38,7 @@ class Follow(Task):
     def on_start(self):
         self.log("info", f"gain is {self.settings.gain}")
 
-    @on("system", Pose, keep="latest")
+    @on("system", Pose, queue="latest")
     def steer(self, packet):
         self.state.seen += 1
         self.state.where.append((packet.body.x_m, packet.body.y_m))
@@ -156,11 +156,6 @@ def test_a_task_inherits_what_its_base_listens_to(fleet):
     agent.publish("system", Pose(1.0, 0.0, 0.0))
     fleet.run_for(1.0)
     assert len(agent.events("report", seen=1)) in (19, 20)
-
-
-def test_the_words_that_a_tasks_author_needs_come_from_one_module():
-    assert (queue(3).limit, queue(3).reliable) == (3, False)
-    assert (reliable(3).limit, reliable(3).reliable) == (3, True)
 
 
 @pytest.mark.parametrize("period_s", [0.0, -1.0, 1e-300, float("nan")])

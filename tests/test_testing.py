@@ -54,7 +54,7 @@ def test_what_does_not_come_fails_with_the_end_of_the_log():
     with Fleet() as fleet:
         agent = fleet.start("a", tasks={"Blink": Blink})
         with pytest.raises(AssertionError, match=r"a: a packet of the type 'line' did not come(.|\n)*ready"):
-            agent.wait_for(LogLine, lambda line: line.text == "never said", at_most_s=2.0)
+            agent.wait_for(LogLine, lambda line: line.text == "never said", timeout_s=2.0)
         with pytest.raises(AssertionError, match=r"Blonk does not run on a, only \['Blink'\]"):
             agent.task("Blonk")
 
@@ -90,7 +90,7 @@ def test_a_configuration_is_made_of_text_and_of_classes():
 def test_threads_that_are_left_are_named():
     gate = threading.Event()
     thread = threading.Thread(target=gate.wait, name="forgotten")
-    with pytest.raises(AssertionError, match="threads are left: forgotten"), no_thread_left(at_most_s=0.05):
+    with pytest.raises(AssertionError, match="threads are left: forgotten"), no_thread_left(timeout_s=0.05):
         thread.start()
     gate.set()
     thread.join()

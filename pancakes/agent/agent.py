@@ -34,7 +34,7 @@ from pancakes.durable.installed import Installed
 from pancakes.durable.ownership import Boot
 from pancakes.durable.ownership_checks import BirthRule
 from pancakes.durable.record import resting
-from pancakes.durable.store import RECORD, Ledgers, Records, Registers
+from pancakes.durable.store import RECORD, MigrationReports, Records, Registers
 from pancakes.errors import PancakesError, describe, traceback_of
 from pancakes.events import Event
 from pancakes.journal import Disk, FileJournal, Journal, MemoryJournal, RecordStore, ThreadedStore, VirtualStore
@@ -193,7 +193,7 @@ class Agent:
         self.resting = self._resting()
         self._registers = Registers(disk)
         self._boots = BootMemory(disk)
-        self.ledgers = Ledgers(disk, self.kernel.log)
+        self.ledgers = MigrationReports(disk, self.kernel.log)
         self._installed = installed = Installed(self._plugins)
         self.host_state = HostState(self.kernel, config.agent.role, installed, self.records)
         addresses, fault = (config.agent.addresses, "") if virtual is not None else addresses_of(config.agent, network)

@@ -12,7 +12,7 @@ from pancakes.config.effective import DEFAULT, created_tables, effective, origin
 from pancakes.durable.client_service import ClientService
 from pancakes.durable.installed import Installed
 from pancakes.durable.record import Record
-from pancakes.errors import ConfigError, ControlRefused, PluginError
+from pancakes.errors import ConfigError, ControlRefusedError, PluginError
 from pancakes.kernel.kernel import Folders
 from pancakes.recording.settings import RecordingSettings
 from pancakes.service import Service
@@ -174,12 +174,12 @@ class Composition:
             table: the contents of its table `[task.NAME]`.
 
         Raises:
-            ControlRefused: the table is not sound; the sentence names each key at fault.
+            ControlRefusedError: the table is not sound; the sentence names each key at fault.
         """
         try:
             config = read_task(name, table, self._config, self._plugins)
         except ConfigError as error:
-            raise ControlRefused(
+            raise ControlRefusedError(
                 "; ".join(str(fault).partition(": ")[2] for fault in error.faults), "invalid"
             ) from None
         return replace(self._spec(config), created=True, arguments={})

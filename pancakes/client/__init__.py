@@ -6,28 +6,28 @@ from typing import TYPE_CHECKING, Any
 
 from pancakes.client.client import Client
 from pancakes.client.rates import RateMeter
-from pancakes.client.rows import AgentRow, EventRow, ReceivedPacket, TaskRow
-from pancakes.client.session import Replies, Survey, Where
+from pancakes.client.rows import AgentInfo, EventInfo, ReceivedPacket, TaskInfo
+from pancakes.client.session import FleetDescription, Replies, Target
 from pancakes.client.subscriptions import Subscriber
-from pancakes.migration import Ledger
+from pancakes.migration import MigrationReport
 
 if TYPE_CHECKING:
     from pancakes.client.async_client import AsyncClient, AsyncSubscriber
 
 __all__ = [
-    "AgentRow",
+    "AgentInfo",
     "AsyncClient",
     "AsyncSubscriber",
     "Client",
-    "EventRow",
+    "EventInfo",
     "ReceivedPacket",
-    "Ledger",
+    "MigrationReport",
     "RateMeter",
     "Replies",
     "Subscriber",
-    "Survey",
-    "TaskRow",
-    "Where",
+    "FleetDescription",
+    "TaskInfo",
+    "Target",
 ]
 
 

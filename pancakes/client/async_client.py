@@ -17,7 +17,7 @@ from types import TracebackType
 from typing import Any, Concatenate, Final, Generic, ParamSpec, Protocol, TypeVar
 
 from pancakes.client.client import Client, check_timeout, log_warning
-from pancakes.client.session import CLOSED, LOOK_S, Where
+from pancakes.client.session import CLOSED, LOOK_S, Target
 from pancakes.client.subscriptions import Subscriber, callback_failed
 from pancakes.errors import PancakesError
 
@@ -263,7 +263,7 @@ class AsyncClient:
 
     def __init__(
         self,
-        at: Where | str | Sequence[str] = (),
+        at: Target | str | Sequence[str] = (),
         timeout_s: float = 3.0,
         say: Callable[[str], None] = log_warning,
     ) -> None:
@@ -305,7 +305,7 @@ class AsyncClient:
     configure = _awaited(Client.configure)
     migrate = _awaited(Client.migrate)
     request = _awaited(Client.request)
-    survey = _awaited(Client.survey)
+    describe = _awaited(Client.describe)
     request_all = _awaited(Client.request_all)
     is_reachable = _awaited(Client.is_reachable)
     is_connected = _awaited(Client.is_connected)

@@ -13,14 +13,21 @@ from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
 
-from pancakes.client.rows import AgentRow, EventRow, ReceivedPacket, TaskRow
-from pancakes.client.session import LOOK_S, FleetSession, Replies, Session, Survey, Where
+from pancakes.client.rows import AgentInfo, EventInfo, ReceivedPacket, TaskInfo
+from pancakes.client.session import LOOK_S, FleetDescription, FleetSession, Replies, Session, Target
 from pancakes.client.subscriptions import KeepAlive, Subscriber, Subscription, SubscriptionSpec
 from pancakes.control import CONTROLS, Channels, Configure, Describe, Migrate, Reply
-from pancakes.errors import ControlRefused, NoAnswer, PancakesError, PeerLost, RemoteProtocolError, Unreachable
+from pancakes.errors import (
+    ControlRefusedError,
+    NoAnswerError,
+    PancakesError,
+    PeerLostError,
+    RemoteProtocolError,
+    UnreachableError,
+)
 from pancakes.mesh.codec import array_head, encode_packet, packet_from_row, rows_from_payload
 from pancakes.mesh.session import PeerBusy
-from pancakes.migration import Ledger
+from pancakes.migration import MigrationReport
 from pancakes.packet import LOG, NEIGHBOURS, SYSCTRL, TO_TASK, Packet, agent_of, join, type_name
 from pancakes.util import codecs
 from pancakes.util.text import hint_of
@@ -45,7 +52,7 @@ BUSY_S: Final = 0.02
 """After how long to send a packet again if there was no room for it."""
 
 
-def task_of(task: str | TaskRow) -> tuple[str, str]:
+def task_of(task: str | TaskInfo) -> tuple[str, str]:
     """Return the agent of a task, and the task as that agent reads it (see `pancakes.control`).
 
     Raises:
@@ -147,7 +154,7 @@ class Client:
 
     Args:
         at: an address to begin with (`HOST:PORT`, `tcp://HOST:PORT` or `local://NAME`), or several; none: what runs on
-            this machine. A `Where` names a fleet as well.
+            this machine. A `Target` names a fleet as well.
         timeout_s: the time limit of each call, in seconds.
         say: takes sentences about what is not an error: an agent is silent, goes or comes back, or a subscriber is
             too slow. It may be called in another thread. By default they are warnings of the logger `pancakes.client`.
@@ -161,7 +168,7 @@ class Client:
 
     def __init__(
         self,
-        at: Where | str | Sequence[str] = (),
+        at: Target | str | Sequence[str] = (),
         timeout_s: float = 3.0,
         say: Callable[[str], None] = log_warning,
     ) -> None:
@@ -193,7 +200,7 @@ class Client:
 
     # What is there ---------------------------------------------------------------------------------------------
 
-    def agents(self, *agents: str, timeout_s: float | None = None) -> list[AgentRow]:
+    def agents(self, *agents: str, timeout_s: float | None = None) -> list[AgentInfo]:
         """Return what all agents, or those named, report about themselves, by fleet and name.
 
         Args:
@@ -201,21 +208,21 @@ class Client:
             timeout_s: the time limit; None: that of the client.
 
         Raises:
-            Unreachable: no agent answers in time, or no agent has one of the names.
-            ControlRefused: agents of two fleets have the same name.
+            UnreachableError: no agent answers in time, or no agent has one of the names.
+            ControlRefusedError: agents of two fleets have the same name.
         """
-        return [_row(AgentRow, found, found) for found in self._surveyed(agents, timeout_s)]
+        return [_row(AgentInfo, found, found) for found in self._surveyed(agents, timeout_s)]
 
-    def tasks(self, *agents: str, timeout_s: float | None = None) -> list[TaskRow]:
+    def tasks(self, *agents: str, timeout_s: float | None = None) -> list[TaskInfo]:
         """Return the tasks of all agents, or of those named; arguments and errors are those of `agents`."""
-        return [_row(TaskRow, row, found) for found in self._surveyed(agents, timeout_s) for row in found["tasks"]]
+        return [_row(TaskInfo, row, found) for found in self._surveyed(agents, timeout_s) for row in found["tasks"]]
 
-    def settings(self, task: str | TaskRow, *, timeout_s: float | None = None) -> dict[str, Any]:
+    def settings(self, task: str | TaskInfo, *, timeout_s: float | None = None) -> dict[str, Any]:
         """Return the settings of a task; arguments and errors are those of `configure`."""
         agent, target = task_of(task)
         found: Any = self._ordered(agent, Describe(target), timeout_s).result
         if not isinstance(found, dict) or "settings" not in found:
-            raise ControlRefused(f"{agent}/{target} is a service, not a task: it has no settings of that kind")
+            raise ControlRefusedError(f"{agent}/{target} is a service, not a task: it has no settings of that kind")
         return dict(found["settings"])
 
     # What is published -----------------------------------------------------------------------------------------
@@ -226,7 +233,7 @@ class Client:
         *types: type[Body] | str,
         callback: Callable[[ReceivedPacket[Body]], object] | None = None,
         agents: Sequence[str] = (),
-        foreign: bool = False,
+        include_remote: bool = False,
         max_waiting: int = MAX_WAITING,
         timeout_s: float | None = None,
         on_resubscribe: Callable[[str], None] = lambda agent: None,
@@ -242,22 +249,22 @@ class Client:
                 here, the body is a plain mapping.
             callback: takes each packet, in a thread of its own, one after the other. Without it the caller reads them.
             agents: only these, if the channel names none.
-            foreign: also packets that other agents sent to the channel.
+            include_remote: also packets that other agents sent to the channel.
             max_waiting: at most this many packets wait, fewer if they are large.
             timeout_s: how long the reader waits for one packet; None: no limit.
             on_resubscribe: takes the name of an agent that is subscribed to again: what it published meanwhile was
                 missed.
 
         Raises:
-            Unreachable: there is no such agent, or none at all, or none answers in time.
-            ControlRefused: the agents have no such channel.
+            UnreachableError: there is no such agent, or none at all, or none answers in time.
+            ControlRefusedError: the agents have no such channel.
             PancakesError: a class is not a packet type, or an argument makes no sense.
         """
         spec = SubscriptionSpec(
             channel=channel,
             types=tuple(it if isinstance(it, str) else type_name(it) for it in types),
             agents=(agents,) if isinstance(agents, str) else tuple(agents),
-            foreign=foreign,
+            include_remote=include_remote,
             max_waiting=max_waiting,
             on_resubscribe=on_resubscribe,
         )
@@ -267,10 +274,10 @@ class Client:
         self,
         *agents: str,
         kinds: Collection[str] = (),
-        callback: Callable[[EventRow], object] | None = None,
+        callback: Callable[[EventInfo], object] | None = None,
         max_waiting: int = MAX_WAITING,
         timeout_s: float | None = None,
-    ) -> Subscriber[EventRow]:
+    ) -> Subscriber[EventInfo]:
         """Subscribe to the events and log lines that all agents, or those named, publish on `log`.
 
         Args:
@@ -288,7 +295,7 @@ class Client:
         spec = SubscriptionSpec(
             channel=LOG, types=("event", "line"), agents=agents, max_waiting=max_waiting, accepts=accepts
         )
-        return self._subscribe(spec, EventRow.of, callback, timeout_s)
+        return self._subscribe(spec, EventInfo.of, callback, timeout_s)
 
     def _subscribe(
         self,
@@ -330,9 +337,9 @@ class Client:
             timeout_s: the time limit; None: that of the client.
 
         Raises:
-            Unreachable: the agent is not there.
-            NoAnswer: it is too slow, and takes no packet in time.
-            ControlRefused: it has no such channel.
+            UnreachableError: the agent is not there.
+            NoAnswerError: it is too slow, and takes no packet in time.
+            ControlRefusedError: it has no such channel.
             PancakesError: a value in the body does not fit its type, or cannot travel.
         """
         agent, name = channel_of(channel)
@@ -348,7 +355,7 @@ class Client:
         check_body(body)
         known = self._describe(agent, timeout_s)
         if name not in known.channels:
-            raise ControlRefused(f"{agent} has no channel {name!r}{hint_of(name, known.channels)}")
+            raise ControlRefusedError(f"{agent} has no channel {name!r}{hint_of(name, known.channels)}")
         stamp_s = known.mission_s + (self.now() - known.at_s) * known.speed
         destination = destination_on(agent, to)
         self._send(agent, lambda: known.session.publish(agent, name, body, stamp_s, destination), timeout_s)
@@ -367,7 +374,7 @@ class Client:
         """Wait until the agents have got all that was published.
 
         Raises:
-            Unreachable: one of them does not answer in time.
+            UnreachableError: one of them does not answer in time.
         """
         check_timeout(timeout_s)
         for agent in list(self._unsettled):
@@ -381,7 +388,7 @@ class Client:
 
     def configure(
         self,
-        task: str | TaskRow,
+        task: str | TaskInfo,
         settings: Mapping[str, Any],
         *,
         dry_run: bool = False,
@@ -399,23 +406,23 @@ class Client:
             The agent's reply; events on `log` that the change led to carry its `number`.
 
         Raises:
-            ControlRefused: the task refuses, or does not exist; the message says why.
-            Unreachable: there is no such agent.
-            NoAnswer: it does not answer in time.
+            ControlRefusedError: the task refuses, or does not exist; the message says why.
+            UnreachableError: there is no such agent.
+            NoAnswerError: it does not answer in time.
         """
         agent, target = task_of(task)
         return self._ordered(agent, Configure(target, settings, dry_run), timeout_s)
 
     def migrate(
         self,
-        task: str | TaskRow,
+        task: str | TaskInfo,
         to: str = "",
         *,
         then: str = "",
         cost: str | dict[str, float] = "tasks",
         dry_run: bool = False,
         timeout_s: float = MIGRATE_S,
-    ) -> Ledger:
+    ) -> MigrationReport:
         """Migrate a running task to the neighbour that takes it for the lowest cost, and wait until it runs there.
 
         Args:
@@ -430,16 +437,16 @@ class Client:
             The account of the migration: which neighbours were asked, what each answered, and which has the task.
 
         Raises:
-            ControlRefused: no neighbour takes it, or there is no such task; it keeps running where it is.
-            Unreachable: there is no such agent.
-            NoAnswer: no answer came in time; the migration may go on all the same.
+            ControlRefusedError: no neighbour takes it, or there is no such task; it keeps running where it is.
+            UnreachableError: there is no such agent.
+            NoAnswerError: no answer came in time; the migration may go on all the same.
         """
         agent, target = task_of(task)
         try:
             reply = self._ordered(agent, Migrate(target, to, then, cost, dry_run), timeout_s)
-        except NoAnswer as error:
-            raise NoAnswer(f"{error}; the migration may go on all the same") from None
-        return _row(Ledger, reply.result, {"agent": agent})
+        except NoAnswerError as error:
+            raise NoAnswerError(f"{error}; the migration may go on all the same") from None
+        return _row(MigrationReport, reply.result, {"agent": agent})
 
     # Control packets -------------------------------------------------------------------------------------------
 
@@ -455,9 +462,9 @@ class Client:
             Its reply; if `ok` is False, its `reason` says why.
 
         Raises:
-            Unreachable: there is no such agent.
-            NoAnswer: it does not answer in time.
-            ControlRefused: agents of two fleets have this name.
+            UnreachableError: there is no such agent.
+            NoAnswerError: it does not answer in time.
+            ControlRefusedError: agents of two fleets have this name.
             PancakesError: a value in the body does not fit its type, or cannot travel, so it was not asked.
         """
         check_timeout(timeout_s)
@@ -465,10 +472,10 @@ class Client:
         self._refresh_for(agent)
         return self._request(agent, body, timeout_s)
 
-    def survey(self, *agents: str, timeout_s: float | None = None) -> Survey:
+    def describe(self, *agents: str, timeout_s: float | None = None) -> FleetDescription:
         """Return all that agents report about themselves, plain, and a sentence for each silent one; see `agents`."""
         self._refresh()
-        return self._session.survey(*agents, timeout_s=check_timeout(timeout_s))
+        return self._session.describe(*agents, timeout_s=check_timeout(timeout_s))
 
     def request_all(self, body: Any, *agents: str, timeout_s: float | None = None) -> Replies:
         """Send the same control packet to all agents, or those named, at once; the errors are those of `agents`.
@@ -540,16 +547,16 @@ class Client:
         fleet.forget(number)
         if isinstance(answer, Reply):
             return answer
-        raise NoAnswer(f"{agent} did not answer: {answer or self._session.too_late(timeout_s)}")
+        raise NoAnswerError(f"{agent} did not answer: {answer or self._session.too_late(timeout_s)}")
 
     def _ordered(self, agent: str, body: Any, timeout_s: float | None) -> Reply:
         reply = self.request(agent, body, timeout_s)
         if not reply.ok:
-            raise ControlRefused.of(reply.refusal)
+            raise ControlRefusedError.of(reply.refusal)
         return reply
 
     def _surveyed(self, agents: Sequence[str], timeout_s: float | None) -> list[dict[str, Any]]:
-        found = self.survey(*agents, timeout_s=timeout_s)
+        found = self.describe(*agents, timeout_s=timeout_s)
         for sentence in found.silent:
             self._say(sentence)
         return found.agents
@@ -561,7 +568,7 @@ class Client:
             return known
         reply = self._request(agent, Describe(), timeout_s)
         if not reply.ok:
-            raise ControlRefused.of(reply.refusal)
+            raise ControlRefusedError.of(reply.refusal)
         found = reply.result
         speed = 0.0 if found["held"] else found["speed"]
         session = self._session.fleet_of(agent)
@@ -577,12 +584,12 @@ class Client:
             try:
                 send()
                 return
-            except PeerLost as error:
-                raise Unreachable(str(error)) from None
+            except PeerLostError as error:
+                raise UnreachableError(str(error)) from None
             except PeerBusy as error:
                 if self.now() >= until_s:
                     limit_s = self.timeout_s if timeout_s is None else timeout_s
-                    raise NoAnswer(f"{agent} is too slow, and had no room within {limit_s:g} s: {error}") from None
+                    raise NoAnswerError(f"{agent} is too slow, and had no room within {limit_s:g} s: {error}") from None
                 self._session.wait(self.now() + BUSY_S, lambda: False)
 
     def _refresh(self) -> None:

@@ -49,10 +49,10 @@ class ReceivedPacket(Generic[Body]):
     @property
     def stamp_s(self) -> float:
         """When it was published, in mission seconds of its publisher's agent."""
-        return self.packet.stamp
+        return self.packet.stamp_s
 
 
-class AgentRow(msgspec.Struct, frozen=True, kw_only=True):
+class AgentInfo(msgspec.Struct, frozen=True, kw_only=True):
     """An agent that answers.
 
     Attributes:
@@ -81,7 +81,7 @@ class AgentRow(msgspec.Struct, frozen=True, kw_only=True):
     neighbours: tuple[str, ...] = ()
 
 
-class TaskRow(msgspec.Struct, frozen=True, kw_only=True):
+class TaskInfo(msgspec.Struct, frozen=True, kw_only=True):
     """A task that an agent has; a device is a task too.
 
     Attributes:
@@ -195,7 +195,7 @@ def _short(value: Any) -> str:
     return str(value)
 
 
-class EventRow(msgspec.Struct, frozen=True, kw_only=True):
+class EventInfo(msgspec.Struct, frozen=True, kw_only=True):
     """An event on `log`, or a line for people, whose kind is `line`. Its `str` is a sentence.
 
     Attributes:
@@ -213,14 +213,16 @@ class EventRow(msgspec.Struct, frozen=True, kw_only=True):
     fields: Mapping[str, Any] = {}
 
     @classmethod
-    def of(cls, received: ReceivedPacket[Any]) -> EventRow:
+    def of(cls, received: ReceivedPacket[Any]) -> EventInfo:
         """Return the row of a packet on `log`."""
         packet = received.packet
         if isinstance(packet.body, Event):
             kind, fields = packet.body.kind, packet.body.fields
         else:
             kind, fields = packet.type, body_to_plain(packet.body)
-        return cls(agent=agent_of(packet.source), source=packet.source, stamp_s=packet.stamp, kind=kind, fields=fields)
+        return cls(
+            agent=agent_of(packet.source), source=packet.source, stamp_s=packet.stamp_s, kind=kind, fields=fields
+        )
 
     def __str__(self) -> str:
         about = {"t_s": self.stamp_s, "agent": self.agent, "source": self.source, "kind": self.kind}

@@ -26,7 +26,7 @@ from itertools import count
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from pancakes.control import Describe, Follow, Reply, Unfollow
-from pancakes.errors import ControlRefused, LocalProtocolError, PancakesError, Unreachable
+from pancakes.errors import ControlRefusedError, LocalProtocolError, PancakesError, UnreachableError
 from pancakes.mesh.address import DEFAULT_FLEET, dialled, fleet_in, in_fleet, is_local, reachable_from
 from pancakes.mesh.codec import frame
 from pancakes.mesh.link import Link, LinkTimes, Over, SendMessage
@@ -51,8 +51,8 @@ CLOSED: Final = "the client is closed: make a new one"
 
 
 @dataclass(frozen=True, slots=True)
-class Where:
-    """Where to look for agents.
+class Target:
+    """Target to look for agents.
 
     Attributes:
         addresses: addresses to begin with (`tcp://127.0.0.1:7401`); none: what runs on this machine.
@@ -63,13 +63,13 @@ class Where:
     fleet: str = ""
 
     @classmethod
-    def of(cls, at: Where | str | Sequence[str]) -> Where:
-        """Return the place that one address, several addresses or a `Where` mean.
+    def of(cls, at: Target | str | Sequence[str]) -> Target:
+        """Return the place that one address, several addresses or a `Target` mean.
 
         Raises:
             PancakesError: an address is not one that an agent could have, or the name of the fleet is not valid.
         """
-        if isinstance(at, Where):
+        if isinstance(at, Target):
             if at.fleet and (fault := fault_of_name(at.fleet)):
                 raise PancakesError(fault)
             return cls(_addresses(at.addresses), at.fleet)
@@ -99,7 +99,7 @@ class Replies:
 
 
 @dataclass
-class Survey:
+class FleetDescription:
     """What the agents report about themselves.
 
     Attributes:
@@ -485,7 +485,7 @@ def merged(requests: Iterable[Follow]) -> Follow:
         () if any(not it.types for it in several) else tuple(dict.fromkeys(name for it in several for name in it.types))
     )
     most_hz = 0.0 if any(not it.most_hz for it in several) else max(it.most_hz for it in several)
-    return Follow(several[0].channel, types, any(it.foreign for it in several), most_hz)
+    return Follow(several[0].channel, types, any(it.include_remote for it in several), most_hz)
 
 
 @dataclass
@@ -527,7 +527,7 @@ class Session:
 
     Args:
         at: an address to begin with (`HOST:PORT`, `tcp://HOST:PORT` or `local://NAME`), or several; none: what runs on
-            this machine. A `Where` names a fleet as well.
+            this machine. A `Target` names a fleet as well.
         timeout_s: the time limit of each call.
 
     Attributes:
@@ -538,8 +538,8 @@ class Session:
         PancakesError: an address is not valid, or the runtime directory cannot be used.
     """
 
-    def __init__(self, at: Where | str | Sequence[str] = (), timeout_s: float = 3.0) -> None:
-        where = Where.of(at)
+    def __init__(self, at: Target | str | Sequence[str] = (), timeout_s: float = 3.0) -> None:
+        where = Target.of(at)
         self.timeout_s = timeout_s
         self.subscriptions = MergedSubscriptions()
         self._clock = MonotonicClock()
@@ -617,13 +617,13 @@ class Session:
         """Return the session in the fleet of a connected agent.
 
         Raises:
-            Unreachable: it is not connected now.
-            ControlRefused: agents of two fleets have this name.
+            UnreachableError: it is not connected now.
+            ControlRefusedError: agents of two fleets have this name.
         """
         found = [it for it in self.fleets() if it.is_connected(agent)]
         _require_one(agent, [it.fleet for it in found])
         if not found:
-            raise Unreachable(f"{agent} is not connected")
+            raise UnreachableError(f"{agent} is not connected")
         return found[0]
 
     def use_fleet(self, fleet: str) -> None:
@@ -677,8 +677,8 @@ class Session:
         """Wait until an agent is connected, and return the session in its fleet.
 
         Raises:
-            Unreachable: there is no such agent.
-            ControlRefused: agents of two fleets have this name.
+            UnreachableError: there is no such agent.
+            ControlRefusedError: agents of two fleets have this name.
         """
 
         def connected() -> list[FleetSession]:
@@ -697,17 +697,17 @@ class Session:
             return found[0]
         why = next((why or "it did not answer in time" for it, why in silent if it.name == agent), "")
         if why:
-            raise Unreachable(f"{agent} cannot be reached: {why}")
-        raise Unreachable(self._unknown(agent, sorted({name for _, name in answers}), silent))
+            raise UnreachableError(f"{agent} cannot be reached: {why}")
+        raise UnreachableError(self._unknown(agent, sorted({name for _, name in answers}), silent))
 
     def search(self, enough: Callable[[], bool]) -> None:
         """Ask all agents that can be found which others they know, until `enough` is true or all have answered."""
         self._ask(self.until_s(None), lambda answers: enough())
 
-    def survey(self, *agents: str, timeout_s: float | None = None) -> Survey:
+    def describe(self, *agents: str, timeout_s: float | None = None) -> FleetDescription:
         """Ask all agents, or those named, to describe themselves; arguments and errors are those of `request_all`."""
         found = self.request_all(None, *agents, timeout_s=timeout_s)
-        return Survey([reply.result for _, reply in found.replies], found.silent, found.asleep)
+        return FleetDescription([reply.result for _, reply in found.replies], found.silent, found.asleep)
 
     def request_all(self, body: Any, *agents: str, timeout_s: float | None = None) -> Replies:
         """Ask all agents, or those named, the same at once, including those that other agents know.
@@ -718,8 +718,8 @@ class Session:
             timeout_s: the time limit; None: that of the session.
 
         Raises:
-            Unreachable: no agent answers in time, or no agent has one of the names.
-            ControlRefused: agents of two fleets have the same name.
+            UnreachableError: no agent answers in time, or no agent has one of the names.
+            ControlRefusedError: agents of two fleets have the same name.
         """
         wanted = [name for name in dict.fromkeys(agents) if name]
 
@@ -734,13 +734,13 @@ class Session:
                 for name in wanted:
                     _require_one(name, [fleet for fleet, other in answers if other == name])
                     if all(it[1] != name for it in answers) and all(it.name != name for it, _ in silent):
-                        raise Unreachable(self._unknown(name, sorted({other for _, other in answers}), silent))
+                        raise UnreachableError(self._unknown(name, sorted({other for _, other in answers}), silent))
                 answers = {key: reply for key, reply in answers.items() if key[1] in wanted}
                 silent = [(it, why) for it, why in silent if it.name in wanted]
             sleeping = {(fleet.fleet, name) for fleet in self._fleets.values() for name in fleet.asleep()}
             sentences = [it.no_answer(why or self.too_late(timeout_s)) for it, why in silent]
             if not answers:
-                raise Unreachable(
+                raise UnreachableError(
                     "\n".join(sentences) or f"{self._no_agents()}: start one, or name one with --at",
                 )
             asleep = [text for text, (it, _) in zip(sentences, silent, strict=True) if (it.fleet, it.name) in sleeping]
@@ -934,7 +934,7 @@ class Session:
 def _require_one(agent: str, fleets: Sequence[str]) -> None:
     if len(fleets) > 1:
         several = " and ".join(sorted(fleets))
-        raise ControlRefused(f"the fleets {several} both have an agent {agent}: name one of them with --fleet")
+        raise ControlRefusedError(f"the fleets {several} both have an agent {agent}: name one of them with --fleet")
 
 
 def _local_addresses(fleet: str, name: str) -> list[str]:

@@ -20,7 +20,7 @@ from typing import Any, Final, Generic, TypeVar
 from pancakes.client.rows import ReceivedPacket
 from pancakes.client.session import LOOK_S, FleetSession, Listener, Session
 from pancakes.control import Follow, Reply
-from pancakes.errors import ControlRefused, NothingCame, PancakesError, Unreachable, describe
+from pancakes.errors import ControlRefusedError, NoPacketError, PancakesError, UnreachableError, describe
 from pancakes.kernel.mailbox import Backlog
 from pancakes.packet import Packet, agent_of
 
@@ -46,7 +46,7 @@ class SubscriptionSpec:
         channel: the channel.
         types: only packets of these types; none: all.
         agents: the agents' names; none: all, including those that come later.
-        foreign: also packets that other agents sent to the channel.
+        include_remote: also packets that other agents sent to the channel.
         max_hz: at most this many packets a second of each source and type, the newest ones; 0: all.
         max_waiting: at most this many packets wait for the reader, fewer if they are large; then the oldest are
             dropped.
@@ -58,7 +58,7 @@ class SubscriptionSpec:
     channel: str
     types: tuple[str, ...] = ()
     agents: tuple[str, ...] = ()
-    foreign: bool = False
+    include_remote: bool = False
     max_hz: float = 0.0
     max_waiting: int = MAX_WAITING
     accepts: Callable[[Packet], bool] = lambda packet: True
@@ -113,8 +113,8 @@ class Subscription:
         on_packet: called when a packet has come and waits, in the transport's thread.
 
     Raises:
-        Unreachable: there is no such agent, or none at all, or none answers in time.
-        ControlRefused: the agents have no such channel; the message is their reason.
+        UnreachableError: there is no such agent, or none at all, or none answers in time.
+        ControlRefusedError: the agents have no such channel; the message is their reason.
     """
 
     def __init__(
@@ -126,7 +126,7 @@ class Subscription:
         self.channel = spec.channel
         self.on_packet: Callable[[], None] = lambda: None
         self._lock = threading.RLock()  # held in `keep_alive` and `close`; `say` may call `close`
-        self._request = Follow(spec.channel, spec.types, spec.foreign, spec.max_hz)
+        self._request = Follow(spec.channel, spec.types, spec.include_remote, spec.max_hz)
         self._agents: dict[tuple[str, str], _SubscribedAgent] = {}  # by fleet and name
         self._waiting: Backlog[ReceivedPacket[Any]] = Backlog(spec.max_waiting)
         self._unreadable: dict[str, str] = {}  # reasons by type
@@ -195,7 +195,7 @@ class Subscription:
     # Beginning -------------------------------------------------------------------------------------------------
 
     def _begin(self) -> None:
-        found = self._session.survey(*self._spec.agents)
+        found = self._session.describe(*self._spec.agents)
         for sentence in found.silent:
             self._say(sentence)
         self._add_agents()
@@ -213,9 +213,9 @@ class Subscription:
         refusals = list(dict.fromkeys(it.refusal for it in answered if it.refusal))
         if not any(it.subscribed for it in answered):
             if refusals:
-                raise ControlRefused("\n".join(refusals))
+                raise ControlRefusedError("\n".join(refusals))
             names = ", ".join(row["agent"] for row in found.agents)
-            raise Unreachable(f"{names} did not answer: {self._session.too_late(None)}")
+            raise UnreachableError(f"{names} did not answer: {self._session.too_late(None)}")
         for refusal in refusals:
             self._say(refusal)
 
@@ -316,7 +316,9 @@ class Subscription:
         it.received_s = self._session.now()
         spec = self._spec
         # Packets for other subscribers of this program come over the same subscription.
-        ours = (not spec.types or packet.type in spec.types) and (spec.foreign or agent_of(packet.source) == agent)
+        ours = (not spec.types or packet.type in spec.types) and (
+            spec.include_remote or agent_of(packet.source) == agent
+        )
         if ours and spec.accepts(packet):
             self._waiting.put(packet, ReceivedPacket(agent, packet, it.received_s))
             self.on_packet()
@@ -401,7 +403,7 @@ class Subscriber(Generic[Row]):
             timeout_s: how long at most; None: the limit given to `subscribe`.
 
         Raises:
-            NothingCame: no row came in time; the message names the agents that are away.
+            NoPacketError: no row came in time; the message names the agents that are away.
             PancakesError: it has failed, or is closed.
         """
         row = self._wait(self._timeout_s if timeout_s is None else timeout_s)
@@ -416,11 +418,11 @@ class Subscriber(Generic[Row]):
             raise self.nothing_came(limit_s or 0.0)
         return row
 
-    def nothing_came(self, limit_s: float) -> NothingCame:
+    def nothing_came(self, limit_s: float) -> NoPacketError:
         """Return the error that says that no row came in time."""
         away = self.away()
         gone = f": {', '.join(away)} {'is' if len(away) == 1 else 'are'} away" if away else ""
-        return NothingCame(f"nothing came on {self._name} within {limit_s:g} s{gone}")
+        return NoPacketError(f"nothing came on {self._name} within {limit_s:g} s{gone}")
 
     def take(self, wait_s: float = 0.0) -> Row | None:
         """Return the next row; None if none came within `wait_s` seconds, or it is closed.

@@ -18,7 +18,7 @@ from pancakes.mesh.sockets import ADVICE, would_be_near_only
 from pancakes.migration import MigrationRule, faults_of_weights
 from pancakes.packet import body_class, field_names, known_types
 from pancakes.settings import check_settings, known_keys
-from pancakes.util.plugins import Plugins, UnknownPlugin, to_install
+from pancakes.util.plugins import Plugins, UnknownPluginError, to_install
 from pancakes.util.text import suggestion
 
 if TYPE_CHECKING:
@@ -157,7 +157,7 @@ class _Check:
         """Return a plug-in; None if it cannot be loaded, which is noted."""
         try:
             return self._plugins.get(group, name)
-        except UnknownPlugin as error:
+        except UnknownPluginError as error:
             if self._missing is None:
                 self._fault(key, error.problem, error.suggestion)
             else:

@@ -40,7 +40,7 @@ class HostProcessorLoad(Sensor):
     def open(self) -> None:
         self._busy_s, self._all_s = processor_times()
 
-    def sample(self) -> Load:
+    def read(self) -> Load:
         # Not `psutil.cpu_percent`: it compares with the call before in the same thread, and a pool has several.
         before = self._busy_s, self._all_s
         self._busy_s, self._all_s = processor_times()
@@ -53,7 +53,7 @@ class HostMemory(Sensor):
 
     type = "memory"
 
-    def sample(self) -> Memory:
+    def read(self) -> Memory:
         import psutil
 
         memory = psutil.virtual_memory()
@@ -87,7 +87,7 @@ class HostTemperature(Sensor):
                 f"this computer has no temperature sensor {self.settings.chip!r}, only {', '.join(sorted(chips))}"
             )
 
-    def sample(self) -> Temperature:
+    def read(self) -> Temperature:
         chips = _temperatures()
         wanted = [self.settings.chip] if self.settings.chip else list(chips)
         celsius = [value for chip in wanted for value in chips.get(chip, [])]
@@ -106,7 +106,7 @@ class HostBattery(Sensor):
         if _battery_share() is None:
             raise PancakesError("this computer has no battery that its operating system tells of")
 
-    def sample(self) -> Battery:
+    def read(self) -> Battery:
         share = _battery_share()
         if share is None:
             raise PancakesError("the operating system tells of no battery any more")
@@ -179,7 +179,7 @@ class NetworkSensor(Sensor):
         self._pace = Pace(settings.max_hz) if settings.max_hz is not None else None
         self._strange_told = False
 
-    def sample(self) -> None:
+    def read(self) -> None:
         return None
 
     def receive(self, packet: Packet) -> None:
@@ -264,14 +264,14 @@ class NetworkActuator(Actuator):
 
     settings: Settings
 
-    def apply(self, command: Any, ttl_s: float, source: str) -> None:
+    def write(self, command: Any, ttl_s: float, source: str) -> None:
         self.context.send(CTRL, command, self.settings.target)
 
-    def holds_by_itself(self, hold_after_s: float) -> float:
+    def watchdog_s(self, hold_after_s: float) -> float:
         """The other agent holds it where this one is gone; where both are, it is as safe as its own driver says."""
         return hold_after_s
 
-    def hold(self) -> None:
+    def safe_stop(self) -> None:
         self.context.send(CTRL, Hold(f"{self.context.agent}/device/{self.context.device} holds"), self.settings.target)
 
 
@@ -286,21 +286,21 @@ class NullSensor(Sensor):
 
     rate = "optional"  # it stands in for any other sensor
 
-    def sample(self) -> None:
+    def read(self) -> None:
         return None
 
 
 class NullActuator(Actuator):
     """An actuator that swallows its commands; a type of one's own needs a subclass that names it."""
 
-    def apply(self, command: Any, ttl_s: float, source: str) -> None:
+    def write(self, command: Any, ttl_s: float, source: str) -> None:
         pass
 
-    def holds_by_itself(self, hold_after_s: float) -> float:
+    def watchdog_s(self, hold_after_s: float) -> float:
         """Nothing ever moves."""
         return 0.0
 
-    def hold(self) -> None:
+    def safe_stop(self) -> None:
         pass
 
 
@@ -367,6 +367,6 @@ class StaticPose(Sensor):
 
     settings: Settings
 
-    def sample(self) -> Pose:
+    def read(self) -> Pose:
         theta_rad = math.pi - (math.pi - self.settings.theta_rad) % math.tau
         return Pose(self.settings.x_m, self.settings.y_m, theta_rad)

@@ -218,14 +218,14 @@ class Driver(ABC):
 
 
 class Sensor(Driver):
-    """A driver that brings readings: by `sample`, at the device's rate, unless its class says otherwise in `rate`."""
+    """A driver that brings readings: by `read`, at the device's rate, unless its class says otherwise in `rate`."""
 
     rate: ClassVar[Rate] = "needed"
     silent_s: ClassVar[float | None] = None
     """Without a reading for so long, in mission seconds, it is silent, unless `[device.NAME]` says `silent_s`."""
 
     @abstractmethod
-    def sample(self) -> Any | None:
+    def read(self) -> Any | None:
         """Return a reading, at each tick of the device's rate.
 
         Returns:
@@ -244,18 +244,18 @@ class Actuator(Driver):
     """A driver that carries commands out."""
 
     @abstractmethod
-    def apply(self, command: Any, ttl_s: float, source: str) -> None:
+    def write(self, command: Any, ttl_s: float, source: str) -> None:
         """Carry a command out.
 
         Args:
             command: the body of a packet of the driver's type.
             ttl_s: for how long it is good, in mission seconds: the device's `hold_after_s`, or less where the right of
                 a guarded task ends sooner. The hardware should go to its safe hold when no other command comes in that
-                time, even if this process is gone; see `holds_by_itself`.
+                time, even if this process is gone; see `watchdog_s`.
             source: address of the task that gave it.
         """
 
-    def holds_by_itself(self, hold_after_s: float) -> float | None:
+    def watchdog_s(self, hold_after_s: float) -> float | None:
         """Return after how long the hardware holds by itself where no process tells it to: its dead-man switch.
 
         Called once the driver is open. Without one, a guarded task that commands the device is warned of.
@@ -270,7 +270,7 @@ class Actuator(Driver):
         return None
 
     @abstractmethod
-    def hold(self) -> None:
+    def safe_stop(self) -> None:
         """Go to the safe hold: the state that is harmless and needs no attention (wheels: stopped)."""
 
     def tick(self) -> None:

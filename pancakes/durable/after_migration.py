@@ -7,7 +7,7 @@ from collections.abc import Callable
 import msgspec
 
 from pancakes.errors import MigrationError
-from pancakes.migration import Ledger
+from pancakes.migration import MigrationReport
 from pancakes.util import codecs
 from pancakes.util.codecs import MALFORMED, why_malformed
 
@@ -21,7 +21,7 @@ class Sequel(msgspec.Struct, frozen=True):
     """
 
     then: str = ""
-    ledger: Ledger | None = None
+    ledger: MigrationReport | None = None
 
     def encode(self) -> bytes:
         """Returns it as msgpack bytes, for the record."""

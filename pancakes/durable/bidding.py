@@ -33,13 +33,13 @@ from pancakes.durable.messages import Bid, Refuse, Solicit, is_for
 from pancakes.durable.negotiation import Awarded, Exhausted, Negotiation, Outcome
 from pancakes.durable.record import TaskId
 from pancakes.durable.snapshot import offer_of
-from pancakes.durable.store import Ledgers
+from pancakes.durable.store import MigrationReports
 from pancakes.errors import MigrationError
 from pancakes.kernel.actor import ActorCore
 from pancakes.kernel.handlers import on, reliable
 from pancakes.kernel.mailbox import Reference, tell
 from pancakes.mesh.mesh import Mesh
-from pancakes.migration import Cost, CostChoice, CostFacts, Ledger, appraise, cost_text, is_of_core
+from pancakes.migration import Cost, CostChoice, CostFacts, MigrationReport, appraise, cost_text, is_of_core
 from pancakes.packet import NETWORK, SYSTEM, Packet, agent_of, join
 from pancakes.supervision.task_core import TaskCore
 from pancakes.task import Task
@@ -124,7 +124,7 @@ class TaskMigrator(TaskCore, Task):
         ledgers: keeps the accounts of moves.
     """
 
-    def __init__(self, *args: Any, mesh: Mesh, state: HostState, ledgers: Ledgers, **others: Any) -> None:
+    def __init__(self, *args: Any, mesh: Mesh, state: HostState, ledgers: MigrationReports, **others: Any) -> None:
         super().__init__(*args, **others)
         self._mesh = mesh
         self._talk = PeerTalk(self, mesh)
@@ -238,7 +238,7 @@ class TaskMigrator(TaskCore, Task):
         if not told:
             tell(moved.service, MoveOver(moved.task_id, "", None))
 
-    def _account(self, service: Reference, task_id: TaskId, ledger: Ledger, note: str, why_not: str) -> None:
+    def _account(self, service: Reference, task_id: TaskId, ledger: MigrationReport, note: str, why_not: str) -> None:
         """Keeps the account of a move that is over, publishes it, and tells the service.
 
         Args:
@@ -253,7 +253,7 @@ class TaskMigrator(TaskCore, Task):
         self._ledgers.add(ledger, note, self.now())
         self._tell(service, task_id, ledger, why_not)
 
-    def _tell(self, service: Reference, task_id: TaskId, ledger: Ledger, why_not: str) -> None:
+    def _tell(self, service: Reference, task_id: TaskId, ledger: MigrationReport, why_not: str) -> None:
         plain = msgspec.to_builtins(ledger)
         self.event("migration", task=task_id.name, **plain)
         tell(service, MoveOver(task_id, why_not, plain))
@@ -295,14 +295,14 @@ class TaskMigrator(TaskCore, Task):
         else:
             self._account(service, task_id, ledger, reason, reason)
 
-    @on(NETWORK, Bid, keep=KEEP, addressed=True)
+    @on(NETWORK, Bid, queue=KEEP, addressed=True)
     def on_bid(self, packet: Packet) -> None:
         """A neighbour would take the task."""
         self._answered(
             packet, lambda negotiation, bid, now_s: negotiation.bid(agent_of(packet.source), bid.cost, bid.terms, now_s)
         )
 
-    @on(NETWORK, Refuse, keep=KEEP, addressed=True)
+    @on(NETWORK, Refuse, queue=KEEP, addressed=True)
     def on_refuse(self, packet: Packet) -> None:
         """A neighbour cannot take the task."""
         self._answered(
@@ -319,7 +319,7 @@ class TaskMigrator(TaskCore, Task):
 
     # Being asked -----------------------------------------------------------------------------------------------
 
-    @on(NETWORK, Solicit, keep=KEEP, addressed=True)
+    @on(NETWORK, Solicit, queue=KEEP, addressed=True)
     def on_solicit(self, packet: Packet) -> None:
         """Answers whether this agent would take a task, and at what cost."""
         if not is_for(packet.body, self._talk.me.journal):

@@ -13,7 +13,7 @@ from pancakes.control import Refusal
 from pancakes.durable.messages import Solicit
 from pancakes.durable.record import TaskId
 from pancakes.kernel.mailbox import Reference
-from pancakes.migration import Ledger
+from pancakes.migration import MigrationReport
 
 MIGRATOR: Final = "network/TaskMigrator"
 """Where on each agent the Task Migrator is."""
@@ -27,11 +27,11 @@ class Negotiate(msgspec.Struct, frozen=True):
     Attributes:
         service: the service that owns it.
         request: what they are asked.
-        asked_by: as in `Ledger`.
+        asked_by: as in `MigrationReport`.
         to: the only neighbour to ask; empty: all.
         dry_run: whether nothing is to be moved.
         lost: the agent that had it, where that is silent: this agent may take it too; empty: this agent has it.
-        cause: as in `Ledger`.
+        cause: as in `MigrationReport`.
     """
 
     service: Reference
@@ -58,7 +58,7 @@ class AttemptOver(msgspec.Struct, frozen=True):
     task_id: TaskId
     peer: str
     refusal: Refusal
-    ledger: Ledger | None
+    ledger: MigrationReport | None
 
 
 class HasMoved(msgspec.Struct, frozen=True):
@@ -77,7 +77,7 @@ class HasMoved(msgspec.Struct, frozen=True):
     task_id: TaskId
     peer: str
     epoch: str
-    ledger: Ledger | None
+    ledger: MigrationReport | None
     note: str
 
 
@@ -93,7 +93,7 @@ class BrokenOff(msgspec.Struct, frozen=True):
 
     service: Reference
     task_id: TaskId
-    ledger: Ledger
+    ledger: MigrationReport
     reason: str
 
 
@@ -127,7 +127,7 @@ class BidAwarded(msgspec.Struct, frozen=True):
     task_id: TaskId
     peer: str
     request: Solicit
-    ledger: Ledger
+    ledger: MigrationReport
 
 
 class MoveOver(msgspec.Struct, frozen=True):

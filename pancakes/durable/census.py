@@ -34,7 +34,7 @@ from pancakes.durable.store import Records, Registers
 from pancakes.errors import PancakesError
 from pancakes.journal import Disk, RecordTable
 from pancakes.kernel.actor import ActorCore
-from pancakes.kernel.handlers import on, queue
+from pancakes.kernel.handlers import drop_oldest, on
 from pancakes.kernel.mailbox import Reference, tell
 from pancakes.mesh.mesh import Mesh
 from pancakes.packet import NETWORK, Packet, agent_of, join
@@ -175,7 +175,7 @@ class BootMemory:
         return later
 
 
-KEEP: Final = queue(256)
+KEEP: Final = drop_oldest(256)
 
 
 class Census(ActorCore):
@@ -260,7 +260,7 @@ class Census(ActorCore):
         peer = agent_of(packet.source)
         return peer if peer in self._mesh.neighbours() else ""
 
-    @on(NETWORK, Owned, keep=KEEP, addressed=True)
+    @on(NETWORK, Owned, queue=KEEP, addressed=True)
     def on_owned(self, packet: Packet) -> None:
         """Another agent tells what it owns."""
         if not (peer := self._speaker(packet)):
@@ -272,7 +272,7 @@ class Census(ActorCore):
         self._tell_services(ClaimsCame(peer, claims))
         self.kernel.tell(COURIER, OwnerHeard(peer, packet.body.claims))
 
-    @on(NETWORK, AskTasks, keep=KEEP, addressed=True)
+    @on(NETWORK, AskTasks, queue=KEEP, addressed=True)
     def on_ask(self, packet: Packet) -> None:
         """Another agent asks what this one knows of tasks."""
         if peer := self._speaker(packet):
@@ -292,13 +292,13 @@ class Census(ActorCore):
             )
         )
 
-    @on(NETWORK, TasksKnown, keep=KEEP, addressed=True)
+    @on(NETWORK, TasksKnown, queue=KEEP, addressed=True)
     def on_known(self, packet: Packet) -> None:
         """Another agent tells what it knows of tasks."""
         if peer := self._speaker(packet):
             self._tell_services(FactsCame(peer, packet.body))
 
-    @on(NETWORK, BootRemembered, keep=KEEP, addressed=True)
+    @on(NETWORK, BootRemembered, queue=KEEP, addressed=True)
     def on_boot(self, packet: Packet) -> None:
         """Another agent takes this one's disk for an old copy."""
         peer, own = self._speaker(packet), self._mesh.identity

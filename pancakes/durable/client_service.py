@@ -37,9 +37,9 @@ from pancakes.durable.ownership_checks import BirthRule, Disputes, Origins
 from pancakes.durable.record import Epoch, Phase, Record, TaskId, Wanted, rest_of
 from pancakes.durable.snapshot import Posted, Snapshot
 from pancakes.durable.state_machine import AnyEvent, Now, Standing, handle, settled
-from pancakes.durable.store import Ledgers, Records, RecordWritten
+from pancakes.durable.store import MigrationReports, Records, RecordWritten
 from pancakes.errors import MigrationError
-from pancakes.kernel.handlers import on, queue, reliable
+from pancakes.kernel.handlers import on, reliable
 from pancakes.kernel.kernel import Kernel
 from pancakes.kernel.mailbox import Mailbox
 from pancakes.kernel.registry import TaskEntry
@@ -150,7 +150,7 @@ class ClientServiceCore(ServiceCore):
         state: HostState,
         mesh: Mesh,
         births: BirthRule,
-        ledgers: Ledgers,
+        ledgers: MigrationReports,
         described: Described,
         **others: Any,
     ) -> None:
@@ -463,24 +463,24 @@ class ClientServiceCore(ServiceCore):
                 return super().take_message(message)
         return None
 
-    @on(NETWORK, messages.Reserve, keep=KEEP, addressed=True)
+    @on(NETWORK, messages.Reserve, queue=KEEP, addressed=True)
     def on_reserve(self, packet: Packet) -> None:
         """An agent asks for a place for a task."""
         self._origins.judge(packet, self._take_in)
 
-    @on(NETWORK, TaskAt, keep=queue(64), addressed=True)
+    @on(NETWORK, TaskAt, queue=64, addressed=True)
     def on_task_at(self, packet: Packet) -> None:
         """An agent that was asked says which one has a task."""
         self._origins.told(packet)
 
-    @on(NETWORK, messages.Reserved, keep=KEEP, addressed=True)
-    @on(NETWORK, messages.Piece, keep=KEEP, addressed=True)
-    @on(NETWORK, messages.Nak, keep=KEEP, addressed=True)
-    @on(NETWORK, messages.Prepared, keep=KEEP, addressed=True)
-    @on(NETWORK, messages.Commit, keep=KEEP, addressed=True)
-    @on(NETWORK, messages.Activated, keep=KEEP, addressed=True)
-    @on(NETWORK, messages.Abort, keep=KEEP, addressed=True)
-    @on(NETWORK, messages.Unknown, keep=KEEP, addressed=True)
+    @on(NETWORK, messages.Reserved, queue=KEEP, addressed=True)
+    @on(NETWORK, messages.Piece, queue=KEEP, addressed=True)
+    @on(NETWORK, messages.Nak, queue=KEEP, addressed=True)
+    @on(NETWORK, messages.Prepared, queue=KEEP, addressed=True)
+    @on(NETWORK, messages.Commit, queue=KEEP, addressed=True)
+    @on(NETWORK, messages.Activated, queue=KEEP, addressed=True)
+    @on(NETWORK, messages.Abort, queue=KEEP, addressed=True)
+    @on(NETWORK, messages.Unknown, queue=KEEP, addressed=True)
     def on_hand_off(self, packet: Packet) -> None:
         """Takes a hand-off message in."""
         self._take_in(packet)
@@ -506,11 +506,11 @@ class ClientServiceCore(ServiceCore):
         else:
             self.places.drop(place)
 
-    @on(NETWORK, LeaseKept, keep=KEEP, addressed=True)
-    @on(NETWORK, DenyLease, keep=KEEP, addressed=True)
-    @on(NETWORK, Pledge, keep=KEEP, addressed=True)
-    @on(NETWORK, CanGuard, keep=KEEP, addressed=True)
-    @on(NETWORK, TakeTask, keep=KEEP, addressed=True)
+    @on(NETWORK, LeaseKept, queue=KEEP, addressed=True)
+    @on(NETWORK, DenyLease, queue=KEEP, addressed=True)
+    @on(NETWORK, Pledge, queue=KEEP, addressed=True)
+    @on(NETWORK, CanGuard, queue=KEEP, addressed=True)
+    @on(NETWORK, TakeTask, queue=KEEP, addressed=True)
     def on_guardian(self, packet: Packet) -> None:
         """A guardian of a task says something."""
         self._guarded.heard(packet)

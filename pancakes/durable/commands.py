@@ -25,9 +25,9 @@ from pancakes.durable.ownership_checks import Disputes, InquiryFindings
 from pancakes.durable.record import MORE_THAN_MOVES, NO_EPOCH, Epoch, Lost, Phase, Record, TaskId, Wanted
 from pancakes.durable.snapshot import Snapshot
 from pancakes.durable.state_machine import Standing, settled
-from pancakes.durable.store import Ledgers, Records
-from pancakes.errors import RETRY_S, ControlRefused
-from pancakes.migration import Ledger
+from pancakes.durable.store import MigrationReports, Records
+from pancakes.errors import RETRY_S, ControlRefusedError
+from pancakes.migration import MigrationReport
 from pancakes.packet import Fence, agent_of, join
 from pancakes.supervision.lifecycle import CLOSES, Answer, Request, State, StopAsked, request_of
 from pancakes.supervision.slots import Slot
@@ -59,7 +59,7 @@ def task_meant(
             and not handed over.
 
     Raises:
-        ControlRefused: none of them can be meant, or several can.
+        ControlRefusedError: none of them can be meant, or several can.
     """
     meant = [record for record in records if birthplace in ("", record.task_id.birthplace)]
     found: list[Record | Lost] = [one for one in lost if birthplace in ("", one.task_id.birthplace)]
@@ -74,13 +74,13 @@ def task_meant(
         return found[0]
     if found:
         ids = " and ".join(str(one.task_id) for one in found)
-        raise ControlRefused(f"{service} has {ids} in doubt: say which by its birthplace", "ambiguous")
+        raise ControlRefusedError(f"{service} has {ids} in doubt: say which by its birthplace", "ambiguous")
     if not meant:
-        raise ControlRefused(
+        raise ControlRefusedError(
             f"{service} knows of no task {name!r}" + (f" of {birthplace}" if birthplace else ""), "not_found"
         )
     stands = " and ".join(f"{record.task_id} is {_standing(record)}" for record in meant)
-    raise ControlRefused(f"there is nothing to {verb}: {stands}")
+    raise ControlRefusedError(f"there is nothing to {verb}: {stands}")
 
 
 def meaning(record: Record, me: str) -> str:
@@ -212,7 +212,7 @@ class Decisions:
         """Carries out what a person has decided.
 
         Raises:
-            ControlRefused: it cannot be done; the sentence says why.
+            ControlRefusedError: it cannot be done; the sentence says why.
         """
         match body:
             case Adopt():
@@ -226,7 +226,7 @@ class Decisions:
         """Runs a task here, on a person's word.
 
         Raises:
-            ControlRefused: it is not in doubt, the other agent is there, or the request does not say `force`.
+            ControlRefusedError: it is not in doubt, the other agent is there, or the request does not say `force`.
         """
         host = self._host
         copied = [it for it in self._disputes.copied.undecided(body.target) if body.birthplace in ("", it.task_id[0])]
@@ -242,7 +242,7 @@ class Decisions:
             self._adopt_lost(chosen, body, request)
         elif is_disputed(chosen):
             if not body.force:
-                raise ControlRefused(meaning(chosen, host.agent), "needs_force")
+                raise ControlRefusedError(meaning(chosen, host.agent), "needs_force")
             why = f"{chosen.peer}, which owns it too, is to have it no longer"
             self._run_here(chosen.task_id, AdoptionAsked(), chosen.peer, why, body.dry_run, request)
         else:
@@ -251,7 +251,7 @@ class Decisions:
     def _adopt_copied(self, place: Place, body: Adopt, request: Request) -> None:
         host, task_id = self._host, place.task_id
         if not body.force:
-            raise ControlRefused(meaning_of_copy(place.standing.record, host.agent), "needs_force")
+            raise ControlRefusedError(meaning_of_copy(place.standing.record, host.agent), "needs_force")
         if not body.dry_run:
             self._tell_asked("adopt", task_id, request)
             host.log("warning", f"{task_id} goes on on {host.agent}, from an old copy, as {request.by} asked")
@@ -261,33 +261,33 @@ class Decisions:
     def _adopt_doubtful(self, record: Record, body: Adopt, request: Request) -> None:
         host, task_id, peer = self._host, record.task_id, record.peer
         if host.kernel.actor(MIGRATOR) is None:
-            raise ControlRefused(
+            raise ControlRefusedError(
                 f"{task_id} is not adopted: the Network Service of {host.agent} is stopped, so it is unknown whether"
                 f" {peer} is there"
             )
         if host.connected(peer):
-            raise ControlRefused(
+            raise ControlRefusedError(
                 f"{task_id} is not adopted: {peer} is connected, so it is not gone. The hand-off goes on by itself;"
                 f" where {peer} has lost its disk, switch it off first"
             )
         if not body.force:
-            raise ControlRefused(meaning(record, host.agent), "needs_force")
+            raise ControlRefusedError(meaning(record, host.agent), "needs_force")
         self._run_here(task_id, AdoptionAsked(), peer, f"{peer} is gone for good", body.dry_run, request)
 
     def _adopt_lost(self, lost: Lost, body: Adopt, request: Request) -> None:
         host, task_id = self._host, lost.task_id
         slot = host.slots.get(task_id.name)
         if slot is not None and host.places.at[slot.name].task_id != task_id:
-            raise ControlRefused(f"{task_id} is not adopted: {host.address} has a task named {slot.name} already")
+            raise ControlRefusedError(f"{task_id} is not adopted: {host.address} has a task named {slot.name} already")
         # What it would begin with that begins as its configuration says.
         snapshot = lost.snapshot or (host.snapshot(slot, slot.carried) if slot is not None else b"")
         if not snapshot:
-            raise ControlRefused(
+            raise ControlRefusedError(
                 f"{task_id} cannot be adopted: nothing is left here to run it from, for {lost.story()}."
                 f" `pancakes task forget {host.agent}/{task_id.name}` lets it rest"
             )
         if not body.force:
-            raise ControlRefused(lost.meaning(host.agent), "needs_force")
+            raise ControlRefusedError(lost.meaning(host.agent), "needs_force")
         event = AdoptionAsked(snapshot, lost.seen.n, lost.jump)
         self._run_here(task_id, event, "", f"{request.by} says that it runs nowhere else", body.dry_run, request)
 
@@ -295,13 +295,14 @@ class Decisions:
         """Runs a task here that a lost agent had, from a checkpoint or as its configuration says.
 
         Raises:
-            ControlRefused: it is here, or may be elsewhere, it cannot run here, or the request does not say `force`.
+            ControlRefusedError: it is here, or may be elsewhere, it cannot run here, or the request does not say
+                `force`.
         """
         host, task_id, held = self._host, TaskId.parse(body.task_id), body.checkpoint
         type_name = Snapshot.decode(held.snapshot).type if held is not None else body.type
         command = Command(request.number, request.cause, "", body)
         if fault := host.kernel.access.fault(agent_of(request.by), "host", type_name):
-            raise ControlRefused(f"{task_id} cannot run on {host.agent}: {fault}", "unable")
+            raise ControlRefusedError(f"{task_id} cannot run on {host.agent}: {fault}", "unable")
         if host.state.imports_first(host, agent_of(request.by), type_name, command):
             return
         place = host.places.get(task_id) or Place(task_id, Standing(Record(task_id)))
@@ -311,10 +312,12 @@ class Decisions:
             self._stand_alone(place, body, request)
             return
         if lost is not None or record.here:
-            raise ControlRefused(f"{task_id} is known on {host.agent}: see `pancakes task adopt` and `task resolve`")
+            raise ControlRefusedError(
+                f"{task_id} is known on {host.agent}: see `pancakes task adopt` and `task resolve`"
+            )
         other = self._disputes.claimant(task_id)
         if other is not None and host.connected(other.peer):
-            raise ControlRefused(
+            raise ControlRefusedError(
                 f"{task_id} is not revived: {other.peer} is connected, and owns it (epoch {other.epoch})"
             )
         snapshot = held.snapshot if held is not None else self._arrivals.as_configured(body)
@@ -322,9 +325,9 @@ class Decisions:
         if refusal or body.dry_run or not body.force:
             host.kernel.registry.unreserve(join(host.address, task_id.name))
         if refusal:
-            raise ControlRefused(f"{task_id} cannot run on {host.agent}: {refusal.text}", refusal.code)
+            raise ControlRefusedError(f"{task_id} cannot run on {host.agent}: {refusal.text}", refusal.code)
         if not body.force:
-            raise ControlRefused(
+            raise ControlRefusedError(
                 cost_of_revival(task_id, host.agent, held.story if held is not None else ""), "needs_force"
             )
         seen = max(record.seen.n, other.epoch.n if other is not None else 0, body.seen)
@@ -336,16 +339,16 @@ class Decisions:
         """Has a task go on here whose guardians are gone for good."""
         host, record, held = self._host, place.standing.record, body.checkpoint
         if held is not None and (Epoch(*held.epoch), held.no) > (record.epoch, record.no):
-            raise ControlRefused(
+            raise ControlRefusedError(
                 f"{record.task_id} is on {host.agent} from an old copy of its disk, older than {held.story}: revive it"
                 f" on another agent"
             )
         if not body.force:
-            raise ControlRefused(cost_of_standing_alone(record, host.agent), "needs_force")
+            raise ControlRefusedError(cost_of_standing_alone(record, host.agent), "needs_force")
         ours = [one for one in record.guards.members() if one.agent == host.agent]
         guardian = host.first_guardian(place, record.snapshot) or next(iter(ours), None)
         if guardian is None:
-            raise ControlRefused(
+            raise ControlRefusedError(
                 f"{record.task_id} is to be guarded no longer, and {host.agent} is none of its guardians"
             )
         if body.dry_run:
@@ -392,8 +395,8 @@ class Decisions:
         """Lets a task rest here, on a person's word that it runs elsewhere, or drops what was never handed over.
 
         Raises:
-            ControlRefused: its record was not lost and no other agent owns it, it runs, several can be meant, or the
-                agent that has brought it is there, or the request does not say `force`.
+            ControlRefusedError: its record was not lost and no other agent owns it, it runs, several can be meant, or
+                the agent that has brought it is there, or the request does not say `force`.
         """
         if body.owner:
             self._give_up(body, request)
@@ -406,9 +409,9 @@ class Decisions:
         if isinstance(lost, Record):
             if host.connected(lost.peer):
                 why = f"{lost.peer} is connected, and says what becomes of it"
-                raise ControlRefused(f"{task_id} is not forgotten: {why}")
+                raise ControlRefusedError(f"{task_id} is not forgotten: {why}")
             if not body.force:
-                raise ControlRefused(cost_of_forgetting(lost, host.agent), "needs_force")
+                raise ControlRefusedError(cost_of_forgetting(lost, host.agent), "needs_force")
         if body.dry_run:
             host.reply(request, result={"task_id": str(task_id)})
             return
@@ -427,18 +430,18 @@ class Decisions:
             if place.standing.record.phase is Phase.OWNER and body.birthplace in ("", place.task_id.birthplace)
         ]
         if not ours:
-            raise ControlRefused(f"{host.address} owns no task {body.target!r}", "not_found")
+            raise ControlRefusedError(f"{host.address} owns no task {body.target!r}", "not_found")
         place = ours[0]
         record, task_id = place.standing.record, place.task_id
         if not is_disputed(record) and (place.other is None or place.other.peer != body.owner):
-            raise ControlRefused(f"{task_id} is owned by {host.agent} alone, as far as {host.agent} knows")
+            raise ControlRefusedError(f"{task_id} is owned by {host.agent} alone, as far as {host.agent} knows")
         runs = record.wanted is Wanted.RUNNING or (place.slot is not None and not place.slot.life.at_rest)
         if body.dry_run:
             told = {"task_id": str(task_id), "epoch": str(record.epoch), "runs": runs}
             host.reply(request, result=told)
             return
         if runs:
-            raise ControlRefused(f"{task_id} runs on {host.agent}: stop it there first")
+            raise ControlRefusedError(f"{task_id} runs on {host.agent}: stop it there first")
         place = self._place(task_id)
         self._tell_asked("forget", task_id, request)
         place.forgetting = (request,)
@@ -463,11 +466,13 @@ class Decisions:
         """Returns the place of a task that is to be decided about.
 
         Raises:
-            ControlRefused: a decision about it is being written down.
+            ControlRefusedError: a decision about it is being written down.
         """
         place = self._host.places[task_id]
         if place.adoption is not None or place.forgetting:
-            raise ControlRefused(f"{task_id} has just been decided about, and that is not written down yet", "busy")
+            raise ControlRefusedError(
+                f"{task_id} has just been decided about, and that is not written down yet", "busy"
+            )
         return place
 
     def _tell_asked(self, what: str, task_id: TaskId, request: Request) -> None:
@@ -476,7 +481,7 @@ class Decisions:
 
 
 Described = Callable[[str, Mapping[str, Any]], TaskSpec]
-"""Takes the name of a task and its table; returns how to start it, or raises `ControlRefused`."""
+"""Takes the name of a task and its table; returns how to start it, or raises `ControlRefusedError`."""
 
 LET_GO_S: Final = 5.0
 """An asker is told that a removal waits for guardians that have not let go after so long, in host seconds."""
@@ -502,7 +507,7 @@ class Creations:
         records: Records,
         arrivals: Arrivals,
         disputes: Disputes,
-        ledgers: Ledgers,
+        ledgers: MigrationReports,
         described: Described,
     ) -> None:
         self._host = host
@@ -518,12 +523,12 @@ class Creations:
         """Makes a task; the answer comes once it runs.
 
         Raises:
-            ControlRefused: it is here, or may be elsewhere, or cannot run here.
+            ControlRefusedError: it is here, or may be elsewhere, or cannot run here.
         """
         host, task_id = self._host, TaskId(self._host.agent, body.target)
         command = Command(request.number, request.cause, "", body)
         if fault := host.kernel.access.fault(agent_of(request.by), "host", body.type):
-            raise ControlRefused(f"{task_id.name} cannot run on {host.agent}: {fault}", "unable")
+            raise ControlRefusedError(f"{task_id.name} cannot run on {host.agent}: {fault}", "unable")
         if host.state.imports_first(host, agent_of(request.by), body.type, command):
             return
         self._refuse_known(task_id)
@@ -535,7 +540,7 @@ class Creations:
 
     def _spec(self, body: Create) -> TaskSpec:
         if key := next((key for key in body.keys if key in NOT_ITS_KEYS), ""):
-            raise ControlRefused(
+            raise ControlRefusedError(
                 f"[task.{body.target}] {key}: is none of the other keys; see `pancakes task create`", "invalid"
             )
         table: dict[str, Any] = {"service": self._host.name, "settings": dict(body.settings), **body.keys}
@@ -550,24 +555,24 @@ class Creations:
         return snapshot_of(spec, task_id, host.name, None).encode()
 
     def _refuse_known(self, task_id: TaskId) -> None:
-        """Raises `ControlRefused` where there is such a task here, or is about to be."""
+        """Raises `ControlRefusedError` where there is such a task here, or is about to be."""
         host = self._host
         if host.closing:
-            raise ControlRefused(f"{host.address} ends: {CLOSES}", "busy")
+            raise ControlRefusedError(f"{host.address} ends: {CLOSES}", "busy")
         if (slot := host.slots.get(task_id.name)) is not None:
-            raise ControlRefused(f"{slot.address} is there already, and {slot.life.word}: choose another name")
+            raise ControlRefusedError(f"{slot.address} is there already, and {slot.life.word}: choose another name")
         if self._disputes.inquiries.about(task_id) or self._place(task_id).creation is not None:
-            raise ControlRefused(f"{task_id} is being created already", "busy")
+            raise ControlRefusedError(f"{task_id} is being created already", "busy")
         if lost := self._records.lost(task_id):
-            raise ControlRefused(lost.undecided(host.agent))
+            raise ControlRefusedError(lost.undecided(host.agent))
         if self._records.service_of(task_id) not in ("", host.name):
             service = self._records.service_of(task_id)
-            raise ControlRefused(f"{host.agent} has a record of {task_id} in its service {service!r}")
+            raise ControlRefusedError(f"{host.agent} has a record of {task_id} in its service {service!r}")
         if (record := self._place(task_id).standing.record).here:
-            raise ControlRefused(f"{task_id} is {record.phase.value} here: see `pancakes task list {host.agent}`")
+            raise ControlRefusedError(f"{task_id} is {record.phase.value} here: see `pancakes task list {host.agent}`")
 
     def _refuse_unfit(self, task_id: TaskId, asked: Creation) -> None:
-        """Raises `ControlRefused` where a task cannot run here now. What it needs is kept for it until it begins."""
+        """Raise `ControlRefusedError` if a task cannot run here now. What it needs is kept for it until it begins."""
         host, place = self._host, self._place(task_id)
         refusal = self._arrivals.cannot_build(agent_of(asked.request.by), place, asked.snapshot)
         if not refusal and (lacking := host.kernel.registry.lacking(asked.spec.cls.requires)):
@@ -575,7 +580,7 @@ class Creations:
             refusal = Refusal("unable", lacks)
         if refusal:
             self._unreserve(task_id)
-            raise ControlRefused(f"{task_id.name} cannot run on {host.agent}: {refusal.text}", refusal.code)
+            raise ControlRefusedError(f"{task_id.name} cannot run on {host.agent}: {refusal.text}", refusal.code)
 
     def _unreserve(self, task_id: TaskId) -> None:
         self._host.kernel.registry.unreserve(join(self._host.address, task_id.name))
@@ -587,7 +592,7 @@ class Creations:
             self._refuse_known(task_id)  # what has come meanwhile
             seen = self._seen(task_id, place.standing.record, found)
             self._refuse_unfit(task_id, asked)
-        except ControlRefused as error:
+        except ControlRefusedError as error:
             host.reply(asked.request, Refusal.of(error))
             return
         jump = MORE_THAN_MOVES if asked.spec.guard is not None else 1  # a guardian that was away may know a later epoch
@@ -609,7 +614,7 @@ class Creations:
         """Returns the highest number of an epoch that is known of a task that is nowhere.
 
         Raises:
-            ControlRefused: it may be somewhere.
+            ControlRefusedError: it may be somewhere.
         """
         own = fact_of(self._host.agent, record)
         newest = newest_fact([own, *found.facts])
@@ -619,7 +624,7 @@ class Creations:
         if newest is None:
             return 0
         if not newest.removed:
-            raise ControlRefused(self._elsewhere(newest))
+            raise ControlRefusedError(self._elsewhere(newest))
         return max(record.seen.n, newest.epoch.n)
 
     def _elsewhere(self, fact: TaskFact) -> str:
@@ -659,7 +664,7 @@ class Creations:
         """Ends a task for good; the answer comes once that is on disk.
 
         Raises:
-            ControlRefused: a configuration file names it, or it is not known whether it is here alone.
+            ControlRefusedError: a configuration file names it, or it is not known whether it is here alone.
         """
         host, place = self._host, self._host.places.at[slot.name]
         self._refuse_removal(slot, place)
@@ -677,22 +682,24 @@ class Creations:
     def _refuse_removal(self, slot: Slot, place: Place) -> None:
         host, task_id, record = self._host, place.task_id, place.standing.record
         if task_id.birthplace == host.agent and slot.name in host.residents:
-            raise ControlRefused(
+            raise ControlRefusedError(
                 f"{slot.address} is in the configuration of {host.agent}: take [task.{slot.name}] out of its file,"
                 f" start {host.agent} anew, and remove it then; until then, `pancakes task stop` stops it"
             )
         if not slot.spec.created:
-            raise ControlRefused(
+            raise ControlRefusedError(
                 f"{task_id} was born from the configuration of {task_id.birthplace}, and whether that still names it is"
                 f" known there: move it to {task_id.birthplace}, and remove it there; until then, `pancakes task stop`"
                 " stops it"
             )
         if is_disputed(record):
-            raise ControlRefused(dispute_of(host.agent, record))
+            raise ControlRefusedError(dispute_of(host.agent, record))
         if place.unsure.why:
-            raise ControlRefused(place.unsure.why)
+            raise ControlRefusedError(place.unsure.why)
         if place.removal is not None or place.adoption is not None or place.forgetting:
-            raise ControlRefused(f"{task_id} has just been decided about, and that is not written down yet", "busy")
+            raise ControlRefusedError(
+                f"{task_id} has just been decided about, and that is not written down yet", "busy"
+            )
 
     def has_stopped(self, place: Place, answer: Answer) -> bool:
         """A task was stopped as was asked, or could not be.
@@ -755,7 +762,7 @@ class Creations:
         return self._host.places.get(task_id) or Place(task_id, Standing(Record(task_id)))
 
     def _account(self, task_id: TaskId, request: Request, outcome: Literal["created", "removed"], winner: str) -> None:
-        account = Ledger(str(task_id), self._host.agent, request.by, "", outcome, winner, (), 0.0)
+        account = MigrationReport(str(task_id), self._host.agent, request.by, "", outcome, winner, (), 0.0)
         self._ledgers.add(account, "", self._host.kernel.mission.now())
 
     def _tell_asked(self, what: str, task_id: TaskId, request: Request) -> None:

@@ -35,7 +35,7 @@ from pancakes.durable.snapshot import Posted
 from pancakes.durable.store import Records
 from pancakes.errors import LocalProtocolError, MigrationError, PancakesError, RemoteProtocolError
 from pancakes.kernel.actor import ActorCore
-from pancakes.kernel.handlers import on, queue
+from pancakes.kernel.handlers import drop_oldest, on
 from pancakes.kernel.mailbox import Reference, tell
 from pancakes.mesh.codec import MAX_MESSAGE_BYTES, encode_packet, of_agent, packet_from_row, rows_from_payload
 from pancakes.mesh.mesh import Mesh
@@ -131,7 +131,7 @@ class SharedOutbox:
 
         Raises:
             LocalProtocolError: the packet cannot travel.
-            MailboxFull: too many wait for this task already.
+            MailboxFullError: too many wait for this task already.
         """
         task_id = receiver_of(packet)
         sender = packet.fence.task_id if packet.fence is not None else ""
@@ -247,7 +247,7 @@ def receiver_of(packet: Packet) -> TaskId:
         raise LocalProtocolError(f"{packet.source} published {packet.type!r} to no task: {error}") from None
 
 
-KEEP: Final = queue(4096)
+KEEP: Final = drop_oldest(4096)
 """What falls out comes again."""
 SOUGHT_IN_VAIN: Final = 3
 """A task that was asked for so often, and that no agent has, is doubted: its name may be wrong."""
@@ -301,7 +301,7 @@ class Courier(ActorCore):
 
         Raises:
             LocalProtocolError: the destination is no task's, or the packet cannot travel.
-            MailboxFull: too many wait for this task already.
+            MailboxFullError: too many wait for this task already.
         """
         task_id = receiver_of(packet)
         host = self.agent if self._service_of(task_id) is not None else task_id.birthplace
@@ -332,22 +332,22 @@ class Courier(ActorCore):
 
     # What other couriers say -----------------------------------------------------------------------------------
 
-    @on(NETWORK, Letter, keep=KEEP, addressed=True)
+    @on(NETWORK, Letter, queue=KEEP, addressed=True)
     def on_letter(self, packet: Packet) -> None:
         """A packet has come for a task that is, or was, here."""
         self._arrived(packet.body, agent_of(packet.source))
 
-    @on(NETWORK, Receipt, keep=KEEP, addressed=True)
+    @on(NETWORK, Receipt, queue=KEEP, addressed=True)
     def on_receipt(self, packet: Packet) -> None:
         """Letters have had their effect."""
         self._acknowledged(packet.body, agent_of(packet.source))
 
-    @on(NETWORK, ForwardTo, keep=KEEP, addressed=True)
+    @on(NETWORK, ForwardTo, queue=KEEP, addressed=True)
     def on_forward_to(self, packet: Packet) -> None:
         """A task is not where it was thought to be."""
         self._forwarded(packet.body, agent_of(packet.source))
 
-    @on(NETWORK, AskBegan, keep=KEEP, addressed=True)
+    @on(NETWORK, AskBegan, queue=KEEP, addressed=True)
     def on_ask_began(self, packet: Packet) -> None:
         """An agent that has sent letters to a task that is here must know what is lost of them."""
         try:
@@ -357,7 +357,7 @@ class Courier(ActorCore):
         if service is not None:
             tell(service, AskedBegan(agent_of(packet.source), packet.body))
 
-    @on(NETWORK, StreamsBegan, keep=KEEP, addressed=True)
+    @on(NETWORK, StreamsBegan, queue=KEEP, addressed=True)
     def on_task_began(self, packet: Packet) -> None:
         """The agent that owns a task answers."""
         peer = agent_of(packet.source)

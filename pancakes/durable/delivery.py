@@ -18,7 +18,7 @@ from msgspec.structs import replace
 
 from pancakes.durable.record import TaskId
 from pancakes.durable.snapshot import Posted, PostedTo
-from pancakes.errors import MailboxFull
+from pancakes.errors import MailboxFullError
 from pancakes.packet import Packet, agent_of, packet_type
 from pancakes.util.codecs import blake2s
 
@@ -300,13 +300,13 @@ class Outgoing:
             now_s: host time.
 
         Raises:
-            MailboxFull: too many wait for this task already.
+            MailboxFullError: too many wait for this task already.
         """
         to = self._to.get(str(task_id))
         if to is None:
             to = self._to[str(task_id)] = _Correspondence(name_to(self.stream, str(task_id)), host)
         if len(to.packets) >= WINDOW or (to.packets and to.size_bytes + len(packet) > WINDOW_BYTES):
-            raise MailboxFull(
+            raise MailboxFullError(
                 f"{len(to.packets)} packets for the task {task_id} ({to.size_bytes} bytes) wait for their"
                 " acknowledgement already"
             )
@@ -525,7 +525,7 @@ class Outbox:
             now_s: host time.
 
         Raises:
-            MailboxFull: too many of this sender wait for this task already.
+            MailboxFullError: too many of this sender wait for this task already.
         """
         stream = self._stream_of(sender)
         follows = stream.post(task_id, packet, host, now_s)

@@ -67,9 +67,9 @@ from pancakes.durable.record import (
 )
 from pancakes.durable.snapshot import Snapshot
 from pancakes.durable.store import Records, Registers, RegisterWritten
-from pancakes.errors import ControlRefused, MigrationError
+from pancakes.errors import ControlRefusedError, MigrationError
 from pancakes.kernel.actor import ActorCore
-from pancakes.kernel.handlers import on, queue
+from pancakes.kernel.handlers import drop_oldest, on
 from pancakes.kernel.mailbox import tell
 from pancakes.kernel.timer import OneShot
 from pancakes.mesh.mesh import Mesh
@@ -401,13 +401,13 @@ class Takeovers:
         """A person says that a task is to be taken over.
 
         Raises:
-            ControlRefused: it does not wait for that.
+            ControlRefusedError: it does not wait for that.
         """
         orphan = self._orphans.get(task_id)
         if orphan is None:
-            raise ControlRefused(f"{task_id} is not to run, as its checkpoint says: there is nothing to take over")
+            raise ControlRefusedError(f"{task_id} is not to run, as its checkpoint says: there is nothing to take over")
         if orphan.negotiating_s is not None or orphan.asked is not None:
-            raise ControlRefused(f"{task_id} is being taken over already", "busy")
+            raise ControlRefusedError(f"{task_id} is being taken over already", "busy")
         orphan.asked = asked
         self._poll(orphan)
         self._guardian.after_host(POLLED_S, partial(self._look_at_polled, orphan))
@@ -426,7 +426,7 @@ class Takeovers:
             tell(asked.root, GuardianAnswers(asked.request, Refusal.if_any(reason), result))
 
 
-KEEP: Final = queue(1024)
+KEEP: Final = drop_oldest(1024)
 """What falls out is said again."""
 MOST_WAIT: Final = 16
 """So much may wait for the disk of what is said of one task; what falls out is said again."""
@@ -539,7 +539,7 @@ class Guardian(ActorCore):
                 tell(asked.root, GuardianAnswers(asked.request, result=self._held(asked.body)))
             else:
                 self._takeovers.take(asked, self._to_take(asked.body).register.task_id)
-        except ControlRefused as error:
+        except ControlRefusedError as error:
             tell(asked.root, GuardianAnswers(asked.request, Refusal.of(error)))
 
     def _held(self, asked: Checkpoints) -> list[dict[str, Any]]:
@@ -556,21 +556,21 @@ class Guardian(ActorCore):
         """Returns the task that is to be taken over.
 
         Raises:
-            ControlRefused: this agent guards none, or two, of this name; or its owner is not silent.
+            ControlRefusedError: this agent guards none, or two, of this name; or its owner is not silent.
         """
         kept = {one.register.task_id: one for one in self._kept()}
         found = [one for it, one in kept.items() if it.name == body.task and body.birthplace in ("", it.birthplace)]
         if not found:
             names = ", ".join(map(str, kept)) or "no task"
-            raise ControlRefused(f"{self.agent} does not guard {body.task}, but {names}", "not_found")
+            raise ControlRefusedError(f"{self.agent} does not guard {body.task}, but {names}", "not_found")
         if len(found) > 1:
             names = " and ".join(str(one.register.task_id) for one in found)
-            raise ControlRefused(f"{self.agent} guards {names}: say which birthplace is meant", "ambiguous")
+            raise ControlRefusedError(f"{self.agent} guards {names}: say which birthplace is meant", "ambiguous")
         (one,) = found
         if one.lease.epoch is not None:
             owner, name = one.lease.epoch.minter, one.register.task_id.name
             hint = f"`pancakes task migrate {owner}/{name}` moves it"
-            raise ControlRefused(f"{one.register.task_id} is not taken over: {owner} has a lease on it. {hint}")
+            raise ControlRefusedError(f"{one.register.task_id} is not taken over: {owner} has a lease on it. {hint}")
         return one
 
     def _row(self, one: _Guarded) -> dict[str, Any]:
@@ -623,17 +623,17 @@ class Guardian(ActorCore):
         one = self._guarded[register.task_id] = _Guarded(register, alarm, Lease(boot=self._talk.boot))
         return one
 
-    @on(NETWORK, KeepLease, keep=KEEP, addressed=True)
+    @on(NETWORK, KeepLease, queue=KEEP, addressed=True)
     def on_keep(self, packet: Packet) -> None:
         """The owner of a task asks for a lease."""
         self._take(packet)
 
-    @on(NETWORK, SeizeTask, keep=KEEP, addressed=True)
+    @on(NETWORK, SeizeTask, queue=KEEP, addressed=True)
     def on_seize(self, packet: Packet) -> None:
         """An agent is to take a task, and asks for a pledge."""
         self._take(packet)
 
-    @on(NETWORK, YieldLease, keep=KEEP, addressed=True)
+    @on(NETWORK, YieldLease, queue=KEEP, addressed=True)
     def on_yield(self, packet: Packet) -> None:
         """The owner of a task ends: others may take it at once."""
         one = self._guarded.get(packet.body.task_id)
@@ -641,7 +641,7 @@ class Guardian(ActorCore):
         if one is not None and speaks and is_for(packet.body, self._talk.me.journal):
             self._handle(one, packet)
 
-    @on(NETWORK, AskLease, keep=KEEP, addressed=True)
+    @on(NETWORK, AskLease, queue=KEEP, addressed=True)
     def on_ask_lease(self, packet: Packet) -> None:
         """Another guardian of a task looks for a new owner."""
         one = self._guarded.get(packet.body.task_id)
@@ -662,7 +662,7 @@ class Guardian(ActorCore):
         )
         self._say(packet.source, seen)
 
-    @on(NETWORK, LeaseSeen, keep=KEEP, addressed=True)
+    @on(NETWORK, LeaseSeen, queue=KEEP, addressed=True)
     def on_lease_seen(self, packet: Packet) -> None:
         """Another guardian says whether a lease runs there."""
         told = packet.body
@@ -675,7 +675,7 @@ class Guardian(ActorCore):
                     one.waiting.append(("", GuardsForgotten(told.guards)))
                 self._go_on(one)
 
-    @on(NETWORK, MayGuard, keep=KEEP, addressed=True)
+    @on(NETWORK, MayGuard, queue=KEEP, addressed=True)
     def on_may_guard(self, packet: Packet) -> None:
         """The owner of a task looks for guardians."""
         asked, peer = packet.body, agent_of(packet.source)

@@ -42,14 +42,14 @@ from pancakes.durable.state_machine import AnyEvent, Standing
 from pancakes.errors import MigrationError, PancakesError
 from pancakes.kernel.actor import ActorCore
 from pancakes.kernel.dead_letters import MOST_KNOWN
-from pancakes.kernel.handlers import Keep
+from pancakes.kernel.handlers import Queue
 from pancakes.kernel.kernel import Kernel
 from pancakes.kernel.mailbox import Reference
 from pancakes.kernel.permits import PermitEnd
 from pancakes.kernel.registry import SettingsNote
 from pancakes.kernel.timer import OneShot, TaskTimer
 from pancakes.mesh.mesh import Mesh
-from pancakes.migration import GuardRule, Ledger
+from pancakes.migration import GuardRule, MigrationReport
 from pancakes.packet import NETWORK, Packet, join
 from pancakes.supervision.lifecycle import Request
 from pancakes.supervision.messages import GUARDIAN, Carried
@@ -424,9 +424,9 @@ class Move(msgspec.Struct):
     then: str
     answer: Request | None
     dry_run: bool
-    ledger: Ledger | None = None
+    ledger: MigrationReport | None = None
 
-    def take_ledger(self) -> Ledger | None:
+    def take_ledger(self) -> MigrationReport | None:
         """Returns the account as it stood: the hand-off has come to nothing."""
         ledger, self.ledger = self.ledger, None
         return ledger
@@ -446,7 +446,7 @@ class Adoption(msgspec.Struct, frozen=True):
     request: Request
     peer: str
     reason: str
-    ledger: Ledger | None
+    ledger: MigrationReport | None
     as_it_stands: bool = False
 
 
@@ -655,7 +655,7 @@ class HostingService(Reference, Protocol):
     closing: bool
 
     def subscribe(
-        self, channel: str, body: type | str | None, handler: Callable[[Packet], None], keep: Keep = ...
+        self, channel: str, body: type | str | None, handler: Callable[[Packet], None], queue: Queue = ...
     ) -> None: ...
 
     def feed_place(self, place: Place, event: AnyEvent | None) -> None:

@@ -8,7 +8,7 @@ from contextlib import suppress
 from pancakes.errors import PluginError
 from pancakes.migration import Cost
 from pancakes.task import Task
-from pancakes.util.plugins import Plugins, UnknownPlugin
+from pancakes.util.plugins import Plugins, UnknownPluginError
 
 
 class Installed:
@@ -46,7 +46,7 @@ class Installed:
         """Returns why a task type cannot be had that is installed; empty where it can, or none is installed."""
         try:
             self.find(type_name)
-        except UnknownPlugin:
+        except UnknownPluginError:
             return ""
         except PluginError as error:
             return str(error)

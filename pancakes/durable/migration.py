@@ -27,10 +27,18 @@ from pancakes.durable.messages import Solicit
 from pancakes.durable.record import Phase, Record, TaskId
 from pancakes.durable.snapshot import Snapshot
 from pancakes.durable.state_machine import PartConcluded, StartWanted, StillOverdue, StoodStill, TakeDown
-from pancakes.errors import ControlRefused, MigrationError, PancakesError
+from pancakes.errors import ControlRefusedError, MigrationError, PancakesError
 from pancakes.kernel.handlers import LATEST
 from pancakes.kernel.mailbox import tell
-from pancakes.migration import AGAIN_S, CostChoice, Ledger, MigrationRule, cost_text, fault_of_choice, is_of_core
+from pancakes.migration import (
+    AGAIN_S,
+    CostChoice,
+    MigrationReport,
+    MigrationRule,
+    cost_text,
+    fault_of_choice,
+    is_of_core,
+)
 from pancakes.packet import SYSCTRL, SYSTEM, Packet, agent_of, join
 from pancakes.supervision.lifecycle import RESTS, Request, State
 from pancakes.supervision.messages import Carried, GoOn, StandStill
@@ -118,7 +126,7 @@ class Mover:
 
     def __init__(self, host: HostingService) -> None:
         self._host = host
-        self._broken_off: list[tuple[Record, Ledger]] = []  # by the end of this service's predecessor
+        self._broken_off: list[tuple[Record, MigrationReport]] = []  # by the end of this service's predecessor
         self._watched: list[str] = []
         self._asks = 0
 
@@ -147,7 +155,7 @@ class Mover:
         """Looks whether something can be asked here of a task.
 
         Raises:
-            ControlRefused: it is on its way, it has left, or it is being removed.
+            ControlRefusedError: it is on its way, it has left, or it is being removed.
         """
         place = self._host.places.at[slot.name]
         record, volatile = place.standing.record, place.standing.volatile
@@ -155,15 +163,17 @@ class Mover:
         going = volatile.freezing or record.under_way
         if going and not describes:
             peer = volatile.asked or record.peer
-            raise ControlRefused(f"{slot.address} is being handed over between {self._host.agent} and {peer}", "busy")
+            raise ControlRefusedError(
+                f"{slot.address} is being handed over between {self._host.agent} and {peer}", "busy"
+            )
         if place.standing.leaving and not describes:
-            raise ControlRefused(f"{slot.address} was handed over, and has not ended yet", "busy")
+            raise ControlRefusedError(f"{slot.address} was handed over, and has not ended yet", "busy")
         if place.removal is not None and not describes:
-            raise ControlRefused(f"{slot.address} is being removed", "busy")
+            raise ControlRefusedError(f"{slot.address} is being removed", "busy")
         asks_state = describes and (body.state or body.began)
         changes = asks_state or isinstance(body, Stop | Migrate | Remove) or type(body) in CHANGES
         if record.phase is Phase.RELEASED and not record.removed and changes:
-            raise ControlRefused(f"{record.task_id} moved to {record.peer}", "moved")
+            raise ControlRefusedError(f"{record.task_id} moved to {record.peer}", "moved")
 
     # Asking for a move -----------------------------------------------------------------------------------------
 
@@ -176,26 +186,28 @@ class Mover:
             answer: the request to answer; None where a rule asks.
 
         Raises:
-            ControlRefused: the task cannot move now.
+            ControlRefusedError: the task cannot move now.
         """
         self.refuse_elsewhere(slot, body)
         host = self._host
         place = host.places.at[slot.name]
         if slot.task is None or slot.life.state is not State.RUNNING:
-            raise ControlRefused(f"{slot.how_it_is}, so it cannot move")
+            raise ControlRefusedError(f"{slot.how_it_is}, so it cannot move")
         if not slot.spec.type:
-            raise ControlRefused(
+            raise ControlRefusedError(
                 f"{slot.address} has no entry point under which another agent could find its class", "unsupported"
             )
         if place.move is not None:
-            raise ControlRefused(f"{slot.address} is being moved already", "busy")
+            raise ControlRefusedError(f"{slot.address} is being moved already", "busy")
         fault = fault_of_choice(body.cost)
         if fault:
-            raise ControlRefused(f"{slot.address} cannot move: {fault}", "unable")
+            raise ControlRefusedError(f"{slot.address} cannot move: {fault}", "unable")
         if body.then and body.then not in host.slots:
-            raise ControlRefused(f"{host.address} has no task {body.then!r} that could follow {slot.name}", "not_found")
+            raise ControlRefusedError(
+                f"{host.address} has no task {body.then!r} that could follow {slot.name}", "not_found"
+            )
         if host.kernel.actor(MIGRATOR) is None:
-            raise ControlRefused(
+            raise ControlRefusedError(
                 f"{slot.address} cannot move: the Network Service of {host.agent} is stopped", "unable"
             )
         offer = self._offer(place, body.cost)
@@ -221,13 +233,13 @@ class Mover:
         """Returns what bidders are told of a task.
 
         Raises:
-            ControlRefused: that is too much.
+            ControlRefusedError: that is too much.
         """
         record = place.standing.record
         try:
             return Snapshot.decode(record.snapshot).offer() if record.snapshot and not is_of_core(cost) else b""
         except MigrationError as error:
-            raise ControlRefused(
+            raise ControlRefusedError(
                 f"{place.task_id} cannot move for the cost {cost_text(cost)}: {error}", "unable"
             ) from None
 
@@ -236,7 +248,7 @@ class Mover:
         rule = slot.spec.rule
         if rule is not None and rule.when not in self._watched:
             self._watched.append(rule.when)
-            self._host.subscribe(SYSTEM, rule.when, self._on_reading, keep=LATEST)
+            self._host.subscribe(SYSTEM, rule.when, self._on_reading, queue=LATEST)
 
     def _on_reading(self, packet: Packet) -> None:
         """A reading that rules watch has come."""
@@ -255,7 +267,7 @@ class Mover:
             try:
                 if rule.met_by(packet.body):
                     self.negotiate(slot, Migrate(slot.name, then=then, cost=rule.cost), None)
-            except (ControlRefused, MigrationError) as error:
+            except (ControlRefusedError, MigrationError) as error:
                 self._refused(place, rule, f"the rule of {slot.address} could not move it: {error}")
 
     # What the Task Migrator tells ------------------------------------------------------------------------------

@@ -18,8 +18,8 @@ from msgspec.structs import replace
 from pancakes.control import Refusal
 from pancakes.durable.messages import Solicit
 from pancakes.durable.record import Epoch, TaskId
-from pancakes.errors import NoCandidate, RefusalCode
-from pancakes.migration import Ledger, Line, cost_text, fault_of, fault_of_choice, names_of
+from pancakes.errors import NoCandidateError, RefusalCode
+from pancakes.migration import Line, MigrationReport, cost_text, fault_of, fault_of_choice, names_of
 from pancakes.util.text import hint_of
 
 HOST_ROLE: Final = "agent"
@@ -197,7 +197,7 @@ class Exhausted(msgspec.Struct, frozen=True):
             found a candidate.
     """
 
-    error: NoCandidate | None
+    error: NoCandidateError | None
 
 
 Outcome = Awarded | Exhausted
@@ -210,7 +210,7 @@ class Negotiation:
 
     Args:
         request: what is asked; sent to each of `asked` by the caller.
-        source: as in `Ledger`.
+        source: as in `MigrationReport`.
         asked_by: the task or person that wants the move, for the ledger.
         neighbours: the neighbours in a role that hosts tasks.
         now_s: host time.
@@ -218,7 +218,7 @@ class Negotiation:
         dry_run: compare, and move nothing.
         window_s: how long to wait for other answers where a bid has come, in host time.
         patience_s: how long to wait where none has.
-        cause: as in `Ledger`.
+        cause: as in `MigrationReport`.
 
     Attributes:
         asked: the neighbours that are asked.
@@ -298,7 +298,7 @@ class Negotiation:
         if not self._open and peer == self._chosen and self._ended_s is None:
             self._ended_s = now_s
 
-    def ledger(self, now_s: float) -> Ledger:
+    def ledger(self, now_s: float) -> MigrationReport:
         """Returns the account as it stands at `now_s` (host time)."""
         ended_s = now_s if self._ended_s is None else self._ended_s
         if self._ended_s is None:
@@ -307,7 +307,7 @@ class Negotiation:
             outcome = "stayed"
         else:
             outcome = "dry run" if self.dry_run else "moved"
-        return Ledger(
+        return MigrationReport(
             task_id=str(self.request.task_id),
             source=self._source,
             asked_by=self._asked_by,
@@ -355,7 +355,7 @@ class Negotiation:
         if not bids:
             self._chosen = ""
             self._ended_s = now_s
-            return Exhausted(NoCandidate(self._sentence()))
+            return Exhausted(NoCandidateError(self._sentence()))
         self._chosen = bids[0][1]
         self._lines[self._chosen] = replace(self._lines[self._chosen], fate="won")
         if self.dry_run:

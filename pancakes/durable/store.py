@@ -20,7 +20,7 @@ from pancakes.durable.record import NO_EPOCH, Epoch, Lost, Record, TaskId
 from pancakes.errors import MigrationError
 from pancakes.journal import Disk, JournalEntry, May, RecordTable
 from pancakes.kernel.mailbox import Reference, tell
-from pancakes.migration import Ledger
+from pancakes.migration import MigrationReport
 from pancakes.util import codecs
 
 RECORD = "record"
@@ -254,10 +254,10 @@ class Kept(msgspec.Struct, frozen=True):
     boot: int
     mission_s: float
     reason: str
-    ledger: Ledger
+    ledger: MigrationReport
 
 
-class Ledgers:
+class MigrationReports:
     """The newest accounts of one agent. Any thread adds to them, and asks for them.
 
     The journal deletes nothing, so its entries go round: account 101 is written in the place of account 1.
@@ -277,7 +277,7 @@ class Ledgers:
         self._accounts = RecordTable(disk, LEDGER, codecs.decoder(Kept), malformed)
         self._last = max((kept.number for kept in self._accounts.newest.values()), default=0)
 
-    def add(self, ledger: Ledger, reason: str, mission_s: float) -> None:
+    def add(self, ledger: MigrationReport, reason: str, mission_s: float) -> None:
         """Keeps an account, and begins to write it down; that of a hand-off is kept once. Never waits.
 
         Args:
@@ -303,7 +303,7 @@ class Ledgers:
         return sorted(self._accounts.newest.values(), key=lambda kept: kept.number)
 
     def plain(self) -> list[dict[str, Any]]:
-        """Returns the accounts, oldest first, as plain values: the fields of `Ledger` besides those of `Kept`."""
+        """Return the reports, oldest first, as plain values: the fields of `MigrationReport` and of `Kept`."""
         return [
             {
                 "number": kept.number,
@@ -316,7 +316,7 @@ class Ledgers:
         ]
 
 
-def _plain(ledger: Ledger) -> dict[str, Any]:
+def _plain(ledger: MigrationReport) -> dict[str, Any]:
     plain = msgspec.to_builtins(ledger)
     # As another agent gets it over the wire, which knows no tuples.
     return {**plain, "lines": list(plain["lines"])}

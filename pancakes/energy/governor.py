@@ -202,13 +202,13 @@ class EnergyGovernor(AdjustingTask):
         self.restore()
         self.decider = GovernorDecider(self.settings, self.now(), self.state.effort, True)
 
-    @on(SYSTEM, Battery, keep="latest")
+    @on(SYSTEM, Battery, queue="latest")
     def measured(self, packet: Packet) -> None:
         """Take a reading of the battery."""
         if agent_of(packet.source) == self.agent:
             self.decider.battery(self.now(), packet.body.level)
 
-    @on(SYSTEM, Load, keep="latest")
+    @on(SYSTEM, Load, queue="latest")
     def loaded(self, packet: Packet) -> None:
         """Take a reading of the processor's load."""
         if agent_of(packet.source) == self.agent:

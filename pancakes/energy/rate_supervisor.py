@@ -51,7 +51,7 @@ class Rule:
         below: it happens if the field lies below this.
         changes_by: it happens if the field is this far from what it was when it last happened.
         channel: the channel of the packets: readings on `system`, commands to actuators on `ctrl`.
-        foreign: whether packets of other agents count too.
+        include_remote: whether packets of other agents count too.
         quiet_after_s: it is quiet when it has not happened for this long.
         rates: the rates of tasks, by `task` or `service/task`.
     """
@@ -63,7 +63,7 @@ class Rule:
     below: float | None = None
     changes_by: Annotated[float, Meta(gt=0)] | None = None
     channel: str = "system"
-    foreign: bool = False
+    include_remote: bool = False
     quiet_after_s: Duration = 5.0
 
     def __post_init__(self) -> None:
@@ -232,13 +232,13 @@ class RateSupervisor(AdjustingTask):
         for rule in self.settings.rules.values():
             if (rule.channel, rule.when) not in self._read:
                 self._read[rule.channel, rule.when] = None
-                self.subscribe(rule.channel, rule.when, self._reader(rule.channel, rule.when), keep=LATEST)
+                self.subscribe(rule.channel, rule.when, self._reader(rule.channel, rule.when), queue=LATEST)
 
     def _reader(self, channel: str, kind: str) -> Callable[[Packet], None]:
         def read(packet: Packet) -> None:
             own = agent_of(packet.source) == self.agent
             for name, rule in self.settings.rules.items():
-                if (rule.channel, rule.when) == (channel, kind) and (own or rule.foreign):
+                if (rule.channel, rule.when) == (channel, kind) and (own or rule.include_remote):
                     self.decider.read(name, packet.body, self.now())
             self._decide()
 

@@ -1,7 +1,15 @@
 """The journal: what an agent keeps on disk, its identity and the durable records of its tasks."""
 
 from pancakes.journal.file_journal import FileJournal, empty
-from pancakes.journal.journal import DiskUse, Journal, JournalEntry, JournalError, JournalLost, MemoryJournal, SetAside
+from pancakes.journal.journal import (
+    DiskUse,
+    Journal,
+    JournalEntry,
+    JournalError,
+    JournalLostError,
+    MemoryJournal,
+    SetAside,
+)
 from pancakes.journal.record_table import Disk, RecordTable
 from pancakes.journal.store import May, RecordStore, ThreadedStore, VirtualStore
 
@@ -12,7 +20,7 @@ __all__ = [
     "Journal",
     "JournalEntry",
     "JournalError",
-    "JournalLost",
+    "JournalLostError",
     "May",
     "MemoryJournal",
     "RecordStore",

@@ -28,7 +28,7 @@ from pancakes.journal.journal import (
     Journal,
     JournalEntry,
     JournalError,
-    JournalLost,
+    JournalLostError,
     name_of,
     seal,
 )
@@ -160,12 +160,14 @@ class StateDirectory:
             locked: the handle that locks it.
 
         Raises:
-            JournalLost: one could.
+            JournalLostError: one could.
         """
         if not _same(self._absolute, None, self.handle):
-            raise JournalLost(f"the state directory {self.path} was removed or replaced while the agent ran")
+            raise JournalLostError(f"the state directory {self.path} was removed or replaced while the agent ran")
         if not _same(lock, self.handle, locked):
-            raise JournalLost(f"the file {lock} of the state directory {self.path} was removed while the agent ran")
+            raise JournalLostError(
+                f"the file {lock} of the state directory {self.path} was removed while the agent ran"
+            )
 
     def close(self) -> None:
         """Close it. Call this once."""

@@ -30,7 +30,7 @@ class JournalError(PancakesError):
     """The journal cannot be opened, read or written; the message names the file."""
 
 
-class JournalLost(JournalError):
+class JournalLostError(JournalError):
     """The state directory is no longer the one that was opened: another process may open the new one."""
 
 
@@ -73,7 +73,7 @@ class SetAside(msgspec.Struct, frozen=True):
         return f"{self.name} {self.reason}: it was set aside as {self.now}"
 
 
-class Unbelievable(Exception):
+class DamagedEntryError(Exception):
     """Sealed bytes are not valid; the message continues after the file's name."""
 
 
@@ -108,20 +108,20 @@ def unseal(journal: str, sealed: bytes) -> JournalEntry:
         sealed: what was read.
 
     Raises:
-        Unbelievable: the bytes are torn, damaged, or another journal's.
+        DamagedEntryError: the bytes are torn, damaged, or another journal's.
     """
     if not sealed.startswith(_MAGIC):
-        raise Unbelievable("is not a file of a journal" if sealed else "is empty")
+        raise DamagedEntryError("is not a file of a journal" if sealed else "is empty")
     head = len(_MAGIC) + _DIGEST_BYTES
     body = sealed[head:]
     if sha256(body) != sealed[len(_MAGIC) : head]:
-        raise Unbelievable(f"is torn or damaged ({len(sealed)} bytes, wrong checksum)")
+        raise DamagedEntryError(f"is torn or damaged ({len(sealed)} bytes, wrong checksum)")
     try:
         contents = _DECODE(body)
     except MALFORMED as error:
-        raise Unbelievable(f"cannot be understood ({why_malformed(error)})") from None
+        raise DamagedEntryError(f"cannot be understood ({why_malformed(error)})") from None
     if journal and contents.journal != journal:
-        raise Unbelievable(f"belongs to the journal {contents.journal}, this is {journal}")
+        raise DamagedEntryError(f"belongs to the journal {contents.journal}, this is {journal}")
     return contents.entry
 
 
@@ -203,7 +203,7 @@ class Journal(ABC):
 
         Raises:
             JournalError: the disk is full, gone, or read-only; or an entry's kind is not valid.
-            JournalLost: see `check`.
+            JournalLostError: see `check`.
         """
         newest: dict[str, JournalEntry] = {}
         for entry in batch:
@@ -217,7 +217,7 @@ class Journal(ABC):
         """Check that the journal is still the one that was opened.
 
         Raises:
-            JournalLost: it is not; the message says what has happened.
+            JournalLostError: it is not; the message says what has happened.
         """
         return
 
@@ -248,9 +248,9 @@ class Journal(ABC):
         if identity in names:
             try:
                 if doubt:
-                    raise Unbelievable(doubt)
+                    raise DamagedEntryError(doubt)
                 found = _read_identity(self._load(identity))
-            except Unbelievable as error:
+            except DamagedEntryError as error:
                 aside.append(self._put_aside(identity, str(error)))
         if found.format > FORMAT:
             raise JournalError(
@@ -268,8 +268,8 @@ class Journal(ABC):
             try:
                 entry = unseal(self.uuid, self._load(name))
                 if name_of(entry.kind, entry.key) != name:
-                    raise Unbelievable(f"has the entry {entry.kind} {entry.key}, which is not what its name says")
-            except Unbelievable as error:
+                    raise DamagedEntryError(f"has the entry {entry.kind} {entry.key}, which is not what its name says")
+            except DamagedEntryError as error:
                 aside.append(self._put_aside(name, str(error)))
             else:
                 self._entries[entry.kind, entry.key] = entry
@@ -287,7 +287,7 @@ class Journal(ABC):
         name = name_of(_IDENTITY, _IDENTITY)
         try:
             return name in self._names(SUFFIX) and bool(unseal(journal, self._load(name)))
-        except Unbelievable:
+        except DamagedEntryError:
             return False
 
     def _put_aside(self, name: str, reason: str) -> SetAside:
@@ -315,7 +315,7 @@ class Journal(ABC):
             try:
                 unseal(self.uuid, sealed)
                 reason = "is not what its name says"
-            except Unbelievable as error:
+            except DamagedEntryError as error:
                 reason = str(error)
             entry = _readable(sealed, name)
             missing.append(SetAside(self._place(name), self._place(bad), reason, kind, key, entry, times))
@@ -366,13 +366,13 @@ def _read_identity(sealed: bytes) -> _JournalIdentity:
         known = _DECODE_LIST(entry.data)[: len(_JournalIdentity._fields)]  # a later version may have more fields
         return _DECODE_IDENTITY(codecs.encode_small(known))
     except MALFORMED as error:
-        raise Unbelievable(f"cannot be understood ({why_malformed(error)})") from None
+        raise DamagedEntryError(f"cannot be understood ({why_malformed(error)})") from None
 
 
 def _readable(sealed: bytes, name: str) -> JournalEntry | None:
     try:
         entry = unseal("", sealed)
-    except Unbelievable:
+    except DamagedEntryError:
         return None
     return entry if name_of(entry.kind, entry.key) == name else None
 

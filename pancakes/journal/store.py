@@ -15,7 +15,7 @@ from typing import Any, Final, NamedTuple
 
 import msgspec
 
-from pancakes.journal.journal import Journal, JournalEntry, JournalError, JournalLost, MemoryJournal
+from pancakes.journal.journal import Journal, JournalEntry, JournalError, JournalLostError, MemoryJournal
 from pancakes.util.clock import MonotonicClock
 
 FIRST_PAUSE_S: Final = 0.1
@@ -185,7 +185,7 @@ class RecordStore(ABC):
         """Write a batch, and call its callbacks. One bad entry does not fail the others in the batch.
 
         Raises:
-            JournalLost: nothing can be written any more; the callbacks of the rest are not called yet.
+            JournalLostError: nothing can be written any more; the callbacks of the rest are not called yet.
         """
         refused = [(job, why_not) for job in batch if job.may is not None and (why_not := job.may())]
         for job, why_not in refused:
@@ -196,7 +196,7 @@ class RecordStore(ABC):
             return
         try:
             self._journal.write([job.entry for job in batch])
-        except JournalLost:
+        except JournalLostError:
             raise
         except JournalError as error:
             if len(batch) > 1:
@@ -313,7 +313,7 @@ class ThreadedStore(RecordStore):
                     self._report()
                 else:
                     self._journal.check()
-            except JournalLost as error:
+            except JournalLostError as error:
                 self._give_up(str(error), batch)
             with self._news:
                 self._at_work = []

@@ -16,24 +16,24 @@ from collections.abc import Callable, Sequence
 from functools import cached_property, partial
 from inspect import iscoroutine
 from time import thread_time
-from typing import TYPE_CHECKING, Any, Final, Literal
+from typing import TYPE_CHECKING, Any, Final
 
 import pykka
 
-from pancakes.errors import ControlRefused, NoPermit, PancakesError, describe, traceback_of
+from pancakes.errors import ControlRefusedError, NoPermitError, PancakesError, describe, traceback_of
 from pancakes.events import Event, Log, LogLine, check_levels
 from pancakes.kernel.dispatchers import is_for_program
 from pancakes.kernel.handlers import (
-    DEFAULT_KEEP,
+    DEFAULT_QUEUE,
     NO_HANDLERS,
     Handlers,
-    Keep,
     Plan,
+    Queue,
     Subscription,
     adapted_tick,
-    keep_of,
     period_of,
     plan_of,
+    queue_policy,
 )
 from pancakes.kernel.mailbox import Call, Mailbox, Told
 from pancakes.kernel.pykka_actor import Flag, PykkaActor, handle_envelope
@@ -140,18 +140,18 @@ class Component(PykkaActor):
             The packet, whose `seq` a reply would name.
 
         Raises:
-            UnknownChannel: the stream has no such channel.
-            MailboxFull: a `reliable` subscriber has no room, or too many packets for the task that is its destination
-                wait already; no subscriber got the packet.
+            UnknownChannelError: the stream has no such channel.
+            MailboxFullError: a `reliable` subscriber has no room, or too many packets for the task that is its
+                destination wait already; no subscriber got the packet.
             LocalProtocolError: the body is of no registered type, or too large to travel.
-            NoPermit: a guarded task does not know now whether another agent runs it.
+            NoPermitError: a guarded task does not know now whether another agent runs it.
         """
         core = self._actor
         kernel, fence, in_hand = core.kernel, core.fence, core.in_hand
         if fence is not None and channel != LOG and (permits := kernel.permits).by_task:
             if not permits.may_act(fence):
                 permits.hold_back(fence, "packets")
-                raise NoPermit(f"{self.address} may not act until its guardians answer")
+                raise NoPermitError(f"{self.address} may not act until its guardians answer")
             if channel == CTRL and to:
                 fence = permits.limited(fence, math.inf)
         if cause is None and in_hand is not None:
@@ -175,20 +175,20 @@ class Component(PykkaActor):
         channel: str,
         body: type | str | None,
         handler: Callable[[Packet], None],
-        keep: Keep | Literal["latest"] = DEFAULT_KEEP,
+        queue: Queue = DEFAULT_QUEUE,
     ) -> None:
         """Call `handler` with each packet on `channel` from now on; for what is known at run time only.
 
         Raises:
-            UnknownChannel: the stream has no such channel.
-            ClassError: the handler cannot be called with a packet; or `keep` is nothing of that kind.
+            UnknownChannelError: the stream has no such channel.
+            ClassError: the handler cannot be called with a packet; or `queue` is nothing of that kind.
         """
-        kept = keep_of(keep)
+        policy = queue_policy(queue)
         may_await = self._actor.awaits
         wanted = "def handle(packet: Packet) -> None"
         check_called(handler, ("packet",), "subscribe calls it with a packet", wanted, may_await=may_await)
         name = body if body is None or isinstance(body, str) else type_name(body)
-        self._actor.add_handler(Subscription(channel, name, kept), handler)
+        self._actor.add_handler(Subscription(channel, name, policy), handler)
 
     def open_channel(self, name: str) -> None:
         """Add a channel to the information stream; one that is there already is left alone."""
@@ -198,7 +198,7 @@ class Component(PykkaActor):
         """Remove a channel that was added; the five core channels stay.
 
         Raises:
-            UnknownChannel: there is no such channel, or it is a core channel.
+            UnknownChannelError: there is no such channel, or it is a core channel.
         """
         self._actor.kernel.stream.close(name)
 
@@ -412,7 +412,7 @@ class ActorCore(Component):
         """Take the right to publish away from an actor that cannot be ended. Any thread."""
 
         def refuse(channel: str, body: Any, to: str = "", *, cause: Cause | None = None) -> Packet:
-            raise ControlRefused(f"{self.address} was stopped and may publish nothing more")
+            raise ControlRefusedError(f"{self.address} was stopped and may publish nothing more")
 
         self.publish = self.facade.publish = refuse  # type: ignore[method-assign]
 

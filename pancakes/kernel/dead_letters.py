@@ -44,7 +44,7 @@ class DeadLetters:
         key = (address, packet.source, packet.seq)
         with self._lock:
             failures = self._failures.pop(key, 0) + 1
-            again = queue.keep.reliable and failures < ATTEMPTS
+            again = queue.policy.reliable and failures < ATTEMPTS
             if again:
                 self._failures[key] = failures
                 if len(self._failures) > MOST_KNOWN:

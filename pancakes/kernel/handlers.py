@@ -12,7 +12,8 @@ A handler takes what its parameters say: a packet, a body, or both.
     def measured(self, load: Load, packet: Packet[Load]) -> None: ...
 
 `plan_of` reads the marks of a class once and keeps the result, because thousands of actors share one class. A queue
-policy (`Keep`) bounds what waits for a slow reader in packets and in bytes: `latest`, `queue(n)` or `reliable(n)`.
+policy (`QueuePolicy`) bounds what waits for a slow reader in packets and in bytes: `latest`, a number, or
+`reliable(n)`.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ MOST_BYTES: Final = 16 * 1024 * 1024
 """The most bytes of bodies that wait under a subscription. One may always wait; light bodies do not count."""
 
 
-class Keep(msgspec.Struct, frozen=True):
+class QueuePolicy(msgspec.Struct, frozen=True):
     """What a subscription does when its reader is slow, or the bodies that wait take more than `MOST_BYTES`.
 
     Attributes:
@@ -64,50 +65,56 @@ class Keep(msgspec.Struct, frozen=True):
         return waiting >= self.limit or (waiting > 0 and weight > 0 and waiting_bytes + weight > MOST_BYTES)
 
 
-LATEST = Keep(1)
+LATEST = QueuePolicy(1)
 """Only the newest packet waits."""
 
 
-def queue(limit: int) -> Keep:
+def drop_oldest(limit: int) -> QueuePolicy:
     """Up to `limit` packets wait; then the oldest falls out, and is counted.
 
     Raises:
         ClassError: the limit is no whole number of at least 1.
     """
-    return Keep(_checked(limit, "queue"))
+    return QueuePolicy(_checked(limit))
 
 
-def reliable(limit: int) -> Keep:
-    """Up to `limit` packets wait; then publishing raises `MailboxFull`, and no subscriber gets the packet.
+def reliable(limit: int) -> QueuePolicy:
+    """Up to `limit` packets wait; then publishing raises `MailboxFullError`, and no subscriber gets the packet.
 
     Raises:
         ClassError: the limit is no whole number of at least 1.
     """
-    return Keep(_checked(limit, "reliable"), reliable=True)
+    return QueuePolicy(_checked(limit), reliable=True)
 
 
-def keep_of(keep: Keep | Literal["latest"]) -> Keep:
+Queue = QueuePolicy | int | Literal["latest"]
+"""How an author writes a queue policy: `"latest"`, how many packets wait before the oldest falls out, `reliable(n)`."""
+
+
+def queue_policy(queue: Queue) -> QueuePolicy:
     """Return what a subscription does, as its author has written it.
 
     Raises:
         ClassError: it is nothing of that kind; it would fail whoever publishes.
     """
-    if isinstance(keep, Keep):
-        return keep
-    if keep == "latest":
+    if isinstance(queue, QueuePolicy):
+        return queue
+    if queue == "latest":
         return LATEST
-    raise ClassError(f'keep is {keep!r}: write keep="latest", keep=queue(100) or keep=reliable(100)')
+    if isinstance(queue, int) and not isinstance(queue, bool):
+        return drop_oldest(queue)
+    raise ClassError(f'queue is {queue!r}: write queue="latest", queue=100 or queue=reliable(100)')
 
 
-def _checked(limit: int, name: str) -> int:
+def _checked(limit: int) -> int:
     if type(limit) is not int or limit < 1:
-        raise ClassError(f"{name} takes how many packets wait at the most, a whole number from 1, and not {limit!r}")
+        raise ClassError(f"a queue takes how many packets wait at most, a whole number from 1, and not {limit!r}")
     return limit
 
 
 _F = TypeVar("_F", bound=Callable[..., Any])
 
-DEFAULT_KEEP = queue(256)
+DEFAULT_QUEUE = drop_oldest(256)
 MOST_HZ = 10_000.0
 """No timer ticks faster: one that did would leave its agent time for nothing else."""
 
@@ -132,13 +139,13 @@ class Subscription(msgspec.Struct, frozen=True):
     Attributes:
         channel: the channel.
         type: the name of the packets' type; None: all types.
-        keep: what happens when the component is slow.
+        queue: what happens when the component is slow.
         addressed: only packets whose destination is this component.
     """
 
     channel: str
     type: str | None
-    keep: Keep
+    queue: QueuePolicy
     addressed: bool = False
 
 
@@ -189,7 +196,7 @@ def on(
     channel: str,
     body: type[_Body],
     *,
-    keep: Keep | Literal["latest"] = DEFAULT_KEEP,
+    queue: Queue = DEFAULT_QUEUE,
     addressed: bool = False,
 ) -> _TakesBody[_Body]: ...
 
@@ -199,7 +206,7 @@ def on(
     channel: str,
     body: str | None = None,
     *,
-    keep: Keep | Literal["latest"] = DEFAULT_KEEP,
+    queue: Queue = DEFAULT_QUEUE,
     addressed: bool = False,
 ) -> Callable[[_F], _F]: ...
 
@@ -208,7 +215,7 @@ def on(
     channel: str,
     body: type | str | None = None,
     *,
-    keep: Keep | Literal["latest"] = DEFAULT_KEEP,
+    queue: Queue = DEFAULT_QUEUE,
     addressed: bool = False,
 ) -> Any:
     """Make a method event-driven: it is called with each packet on `channel`, in the component's actor.
@@ -220,23 +227,24 @@ def on(
         channel: the channel to listen to.
         body: the class of the packets' bodies, or their type's name; None: the class that the method's annotation
             names, or packets of all types if it names none.
-        keep: what waits when the component is slow: `"latest"`, `queue(n)` or `reliable(n)`.
+        queue: what waits when the component is slow: `"latest"`, how many packets before the oldest falls out, or
+            `reliable(n)`.
         addressed: only packets whose destination is this component.
 
     Raises:
         ClassError: the method cannot be called with a packet, or its annotation names no packet type; it has an
-            `@every`, or listens to such packets already; or `keep` is nothing of that kind.
+            `@every`, or listens to such packets already; or `queue` is nothing of that kind.
     """
     if not isinstance(channel, str):
         raise ClassError(f'@on takes the name of a channel, not {channel!r}: write @on("system")')
     name = body if body is None or isinstance(body, str) else type_name(body)
-    kept = keep_of(keep)
+    policy = queue_policy(queue)
 
     def mark(method: _F) -> _F:
         check_given(method)
         given, of_annotation = _given_to(method, body, sys._getframe(1))  # noqa: SLF001
         subscribed = of_annotation if name is None else name
-        subscription = Subscription(channel, subscribed, kept, addressed)
+        subscription = Subscription(channel, subscribed, policy, addressed)
         before = getattr(method, SUBSCRIPTIONS, ())
         if hasattr(method, PERIOD):
             raise _both(method)

@@ -31,7 +31,7 @@ from pancakes.packet import LOG, LocalTime, Packet, agent_of, join, type_name
 from pancakes.settings import dotted, paths_in, plain_settings
 from pancakes.util.class_checks import check_instance, check_loaded
 from pancakes.util.clock import Clock, MissionClock, MonotonicClock, SkewedClock, day_s
-from pancakes.util.files import NoPath, at_home
+from pancakes.util.files import NoPathError, at_home
 from pancakes.util.timebase import Timebase
 
 if TYPE_CHECKING:
@@ -92,7 +92,7 @@ class Folders:
     def _holds(self, path: str) -> bool:
         try:
             real = self._real(path)
-        except (ValueError, NoPath):
+        except (ValueError, NoPathError):
             return False
         below = (folder for folder in self._folders if real != folder)  # a name may get an end yet: FOLDER.mcap
         return real in self._files or any(os.path.commonpath((real, folder)) == folder for folder in below)
@@ -344,9 +344,9 @@ class Kernel:
         """See `Component.local_time`. Any thread."""
         agent = agent_of(packet.source)
         if agent == self.agent:
-            return LocalTime(packet.stamp, 0.0)
+            return LocalTime(packet.stamp_s, 0.0)
         clock = self.peer_clock(agent)
-        return clock.local_time(packet.stamp, self._mission_base()) if clock is not None else None
+        return clock.local_time(packet.stamp_s, self._mission_base()) if clock is not None else None
 
     def restamped(self, agent: str, stamp_s: float) -> float:
         """Return a stamp of an agent on this one's mission clock; 0, which says nothing, where that is not known."""

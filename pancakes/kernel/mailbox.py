@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, Final, Generic, NamedTuple, Protocol, Typ
 
 import pykka
 
-from pancakes.kernel.handlers import Handler, Keep
+from pancakes.kernel.handlers import Handler, QueuePolicy
 from pancakes.kernel.payload_size import weight_of
 from pancakes.kernel.pykka_actor import Flag, dismiss
 from pancakes.packet import Packet
@@ -44,20 +44,20 @@ class TypeQueue:
 
     Args:
         channel: the queue of its channel.
-        keep: the bound.
+        policy: the bound.
 
     Attributes:
         channel: the same.
-        keep: the same.
+        policy: the same.
         handlers: what the reader does with each packet.
         bytes: the bytes of the heavy packets that wait.
         lost: how many packets have fallen out that the reader wanted.
         handled: how many packets were taken out.
     """
 
-    __slots__ = ("_entries", "_limit", "_mailbox", "bytes", "channel", "handled", "handlers", "keep", "lost")
+    __slots__ = ("_entries", "_limit", "_mailbox", "bytes", "channel", "handled", "handlers", "lost", "policy")
 
-    def __init__(self, channel: ChannelQueue, keep: Keep) -> None:
+    def __init__(self, channel: ChannelQueue, policy: QueuePolicy) -> None:
         self.channel = channel
         self.handlers: tuple[Handler, ...] = ()
         self.bytes = 0
@@ -65,16 +65,16 @@ class TypeQueue:
         self.handled = 0
         self._mailbox = channel.mailbox
         self._entries: deque[Packet | _Heavy] = deque()
-        self.bound(keep)
+        self.bound(policy)
 
-    def bound(self, keep: Keep) -> None:
+    def bound(self, policy: QueuePolicy) -> None:
         """Take another bound."""
-        self.keep = keep
-        self._limit = keep.limit
+        self.policy = policy
+        self._limit = policy.limit
 
     def refuses(self, weight: int) -> bool:
         """Return whether a packet must be refused to its publisher; `weight`: its bytes, if it is a heavy one."""
-        return self.keep.reliable and self.keep.is_full(len(self._entries), self.bytes, weight)
+        return self.policy.reliable and self.policy.is_full(len(self._entries), self.bytes, weight)
 
     def put(self, packet: Packet, weight: int = 0) -> None:
         """Put a packet; `weight`: its bytes, if it is a heavy one."""
@@ -89,13 +89,13 @@ class TypeQueue:
     def _make_room(self, weight: int) -> None:
         """Let the oldest packets fall out until there is room for one more, and count its weight."""
         with self._mailbox.scales:
-            while not self.keep.reliable and self.keep.is_full(len(self._entries), self.bytes, weight):
+            while not self.policy.reliable and self.policy.is_full(len(self._entries), self.bytes, weight):
                 try:
                     self._mailbox.order.remove(self)  # the place of its oldest
                 except ValueError:  # the reader was faster
                     break
                 self._leave(self._entries.popleft())
-                self.lost += self.keep.counts_losses
+                self.lost += self.policy.counts_losses
             self.bytes += weight
 
     def _leave(self, entry: Packet | _Heavy) -> Packet:
@@ -145,13 +145,13 @@ class ChannelQueue:
         self.refused = 0
         self._by_type: dict[str | None, TypeQueue] = {}  # never changed but replaced: other threads read it
 
-    def bound(self, type_name: str | None, keep: Keep) -> None:
+    def bound(self, type_name: str | None, policy: QueuePolicy) -> None:
         """Bound packets of a type; None means all types without a bound of their own. Other bounds stay."""
         known = self._by_type.get(type_name)
         if known is not None:
-            known.bound(keep)
+            known.bound(policy)
         else:
-            self._by_type = {**self._by_type, type_name: TypeQueue(self, keep)}
+            self._by_type = {**self._by_type, type_name: TypeQueue(self, policy)}
 
     def of(self, type_name: str | None) -> TypeQueue:
         """Return where packets of a type wait that the reader reads; None: those without a bound of their own."""

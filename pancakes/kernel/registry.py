@@ -26,7 +26,7 @@ class DeviceEntry(msgspec.Struct, frozen=True):
         actuator: whether it takes commands, and therefore has one holder at a time.
         networked: whether its readings come from another agent.
         address: where it takes commands.
-        holds_by_itself_s: of an actuator: after this long without a fresh command, in mission seconds, its hardware
+        watchdog_s: of an actuator: after this long without a fresh command, in mission seconds, its hardware
             goes to its safe hold even if no process tells it to; None: it keeps its last command.
     """
 
@@ -35,7 +35,7 @@ class DeviceEntry(msgspec.Struct, frozen=True):
     actuator: bool = False
     networked: bool = False
     address: str = ""
-    holds_by_itself_s: float | None = None
+    watchdog_s: float | None = None
 
 
 class Described(Protocol):
@@ -204,7 +204,7 @@ class Registry:
         """Return the names of the actuators that a task holds, and that keep their last command when it is gone."""
         with self._lock:
             held = (self._devices.get(name) for name, holder in self._holders.items() if holder == address)
-            return [device.name for device in held if device is not None and device.holds_by_itself_s is None]
+            return [device.name for device in held if device is not None and device.watchdog_s is None]
 
     def release(self, address: str) -> None:
         """Take back what a task holds."""

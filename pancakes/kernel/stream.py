@@ -13,7 +13,7 @@ from typing import Any
 
 import msgspec
 
-from pancakes.errors import MailboxFull, PancakesError, UnknownChannel
+from pancakes.errors import MailboxFullError, PancakesError, UnknownChannelError
 from pancakes.kernel.handlers import Subscription
 from pancakes.kernel.mailbox import ChannelQueue, Mailbox, TypeQueue
 from pancakes.kernel.payload_size import LIGHT_BYTES, is_small, weight_of
@@ -45,7 +45,7 @@ class Listener(msgspec.Struct):
             self.types = (*self.types, subscription.type)
         if not subscription.addressed and subscription.type not in self.open_types:
             self.open_types = (*self.open_types, subscription.type)
-        self.queue.bound(subscription.type, subscription.keep)
+        self.queue.bound(subscription.type, subscription.queue)
 
     def reads(self, type_name: str, addressed: bool) -> bool:
         """Return whether a packet of this type is for it; `addressed`: its destination names it."""
@@ -63,12 +63,12 @@ class Listener(msgspec.Struct):
 
         It gets `open_types` whatever their destination, the other `types` only if a packet's destination names it.
         """
-        keeps = [self.queue.of(name).keep for name in self.types]
+        policies = [self.queue.of(name).policy for name in self.types]
         return {
             "types": _names(self.types),
             "open_types": _names(self.open_types),
-            "keep": "reliable" if any(keep.reliable for keep in keeps) else "newest",
-            "limit": sum(keep.limit for keep in keeps),
+            "keep": "reliable" if any(policy.reliable for policy in policies) else "newest",
+            "limit": sum(policy.limit for policy in policies),
             "waiting": len(self.queue),
             "waiting_bytes": self.queue.heavy_bytes,
             "dropped": self.queue.dropped(),
@@ -96,7 +96,7 @@ class Route(msgspec.Struct, frozen=True):
         """Give a packet to all of them, or to none.
 
         Raises:
-            MailboxFull: a `reliable` subscriber has no room; no subscriber got the packet.
+            MailboxFullError: a `reliable` subscriber has no room; no subscriber got the packet.
         """
         weight = 0 if self.light else weight_of(packet.body)
         # All reliable readers are asked before any of them gets the packet: a retry must not double it.
@@ -126,10 +126,10 @@ class Route(msgspec.Struct, frozen=True):
             tap(packet)
 
 
-def _no_room(queue: TypeQueue, packet: Packet, weight: int) -> MailboxFull:
+def _no_room(queue: TypeQueue, packet: Packet, weight: int) -> MailboxFullError:
     waiting = queue.channel
     reader = waiting.mailbox.component
-    return MailboxFull(
+    return MailboxFullError(
         f"{reader.address if reader else 'a task between restarts'} has no room for {packet.type!r} from"
         f" {packet.source} on {packet.channel!r}: {len(waiting)}"
         + (f" ({waiting.heavy_bytes} bytes) wait already" if weight else " wait already")
@@ -213,13 +213,13 @@ class InformationStream:
         """Remove a channel and its subscriptions.
 
         Raises:
-            UnknownChannel: there is no such channel, or it is a core channel.
+            UnknownChannelError: there is no such channel, or it is a core channel.
         """
         with self._lock:
             if name in CORE_CHANNELS:
-                raise UnknownChannel(f"{name!r} is a core channel and cannot be removed")
+                raise UnknownChannelError(f"{name!r} is a core channel and cannot be removed")
             if name not in self._readers:
-                raise UnknownChannel(f"{self.agent} has no channel {name!r}{hint_of(name, self._readers)}")
+                raise UnknownChannelError(f"{self.agent} has no channel {name!r}{hint_of(name, self._readers)}")
             del self._readers[name]
             self._taps.pop(name, None)
             self._forget(name)
@@ -231,9 +231,9 @@ class InformationStream:
             How many components of this agent got it.
 
         Raises:
-            UnknownChannel: there is no such channel here.
-            MailboxFull: a `reliable` subscriber has no room, or too many packets for the task that is its destination
-                wait already; no subscriber got the packet.
+            UnknownChannelError: there is no such channel here.
+            MailboxFullError: a `reliable` subscriber has no room, or too many packets for the task that is its
+                destination wait already; no subscriber got the packet.
             LocalProtocolError: its destination is elsewhere and its body cannot travel, or is no task.
         """
         route = self._route_of(packet.channel, packet.type, packet.destination, packet.source)
@@ -250,7 +250,7 @@ class InformationStream:
             source: their publisher.
 
         Raises:
-            UnknownChannel: there is no such channel here.
+            UnknownChannelError: there is no such channel here.
             LocalProtocolError: the body is of no registered type.
         """
         return self._routes.get((channel, body.__class__, destination)) or self._new_route(
@@ -264,9 +264,9 @@ class InformationStream:
             How many components of this agent it was for.
 
         Raises:
-            UnknownChannel: as `publish`.
-            MailboxFull: a `reliable` subscriber has no room. The publisher cannot be asked to wait, so all others get
-                the packet, and for this one it counts as dropped.
+            UnknownChannelError: as `publish`.
+            MailboxFullError: a `reliable` subscriber has no room. The publisher cannot be asked to wait, so all others
+                get the packet, and for this one it counts as dropped.
         """
         destination = "" if packet.destination == NEIGHBOURS else packet.destination
         if destination and agent_of(destination) != self.agent:  # it must not go out again
@@ -275,7 +275,7 @@ class InformationStream:
         route = self._route_of(packet.channel, packet.type, destination, packet.source)
         try:
             route.give(packet)
-        except MailboxFull:
+        except MailboxFullError:
             # It may be another route by now, or none: readers come and go.
             self._route_of(packet.channel, packet.type, destination, packet.source).give_if_room(packet)
             raise
@@ -316,13 +316,13 @@ class InformationStream:
             by: the address of the follower elsewhere for which it hears; empty: it hears for none.
 
         Raises:
-            UnknownChannel: there is no such channel.
+            UnknownChannelError: there is no such channel.
             ClassError: it is `async def`, or cannot be called with a packet.
         """
         check_called(tap, ("packet",), "a tap is called with each packet", "def hear(packet: Packet) -> None")
         with self._lock:
             if channel not in self._readers:
-                raise UnknownChannel(f"{self.agent} has no channel {channel!r}{hint_of(channel, self._readers)}")
+                raise UnknownChannelError(f"{self.agent} has no channel {channel!r}{hint_of(channel, self._readers)}")
             self._taps[channel] = (*self._taps.get(channel, ()), (tap, types, by))
             self._forget(channel)
 
@@ -347,12 +347,12 @@ class InformationStream:
         """Put packets into a component's mailbox from now on.
 
         Raises:
-            UnknownChannel: there is no such channel.
+            UnknownChannelError: there is no such channel.
         """
         with self._lock:
             readers = self._readers.get(subscription.channel)
             if readers is None:
-                raise UnknownChannel(
+                raise UnknownChannelError(
                     f"{address} cannot subscribe to {subscription.channel!r}: {self.agent} has no such"
                     f" channel{hint_of(subscription.channel, self._readers)}"
                 )
@@ -393,12 +393,12 @@ class InformationStream:
         """Return the readers of a channel, with their bounds, and what waits or was lost there, as plain values.
 
         Raises:
-            UnknownChannel: there is no such channel.
+            UnknownChannelError: there is no such channel.
         """
         with self._lock:
             readers = self._readers.get(channel)
             if readers is None:
-                raise UnknownChannel(f"{self.agent} has no channel {channel!r}{hint_of(channel, self._readers)}")
+                raise UnknownChannelError(f"{self.agent} has no channel {channel!r}{hint_of(channel, self._readers)}")
             return [reader.describe() for reader in readers.values()]
 
     def readings(self, address: str) -> list[dict[str, Any]]:
@@ -427,7 +427,7 @@ class InformationStream:
         with self._lock:
             readers = self._readers.get(channel)
             if readers is None:
-                raise UnknownChannel(
+                raise UnknownChannelError(
                     f"{source} published {type_name!r} to {channel!r}, but {self.agent} has no such channel"
                     f"{hint_of(channel, self._readers)}"
                 )
@@ -441,7 +441,7 @@ class InformationStream:
                 route = Route(
                     type_name,
                     queues,
-                    tuple(queue for queue in queues if queue.keep.reliable),
+                    tuple(queue for queue in queues if queue.policy.reliable),
                     taps,
                     is_light or not queues,
                 )

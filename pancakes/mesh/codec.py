@@ -369,7 +369,7 @@ def encode_packet(packet: Packet) -> bytes:
                 packet.type,
                 packet.source,
                 packet.destination,
-                packet.stamp,
+                packet.stamp_s,
                 packet.seq,
                 packet.cause,
                 body,
@@ -546,9 +546,9 @@ class RowEncoder:
             if is_open:
                 body = encodable(body)
             try:
-                row = encode((packet.stamp, packet.seq, packet.cause, body))
+                row = encode((packet.stamp_s, packet.seq, packet.cause, body))
             except TypeError:  # such as a numpy number in a field for a plain number
-                row = encode((packet.stamp, packet.seq, packet.cause, encodable(body)))
+                row = encode((packet.stamp_s, packet.seq, packet.cause, encodable(body)))
             if len(row) > self.most:
                 raise LocalProtocolError(
                     f"it takes {_ROOM - self.most + len(row)} bytes, and a frame has room for {_ROOM}"

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from msgspec.structs import replace
 
-from pancakes.errors import LocalProtocolError, PancakesError, PeerLost
+from pancakes.errors import LocalProtocolError, PancakesError, PeerLostError
 from pancakes.mesh.address import reachable_from
 from pancakes.mesh.codec import Unfit
 from pancakes.mesh.gossip import Gossiper
@@ -67,11 +67,11 @@ def why_lost(
     if name == own or not name:
         return LocalProtocolError(f"{what} is not for another agent, so the mesh cannot send it")
     if sleeps:
-        return PeerLost(f"{what} cannot go to {name}: the network of {own} sleeps")
+        return PeerLostError(f"{what} cannot go to {name}: the network of {own} sleeps")
     if name in asleep:
-        return PeerLost(f"{what} cannot go to {name}: it sleeps for another {asleep[name]:.1f} s")
+        return PeerLostError(f"{what} cannot go to {name}: it sleeps for another {asleep[name]:.1f} s")
     linked = ", ".join(there) or "no other agent"
-    return PeerLost(f"{what} cannot go to {name}: {own} has no link to it (it is connected to {linked})")
+    return PeerLostError(f"{what} cannot go to {name}: {own} has no link to it (it is connected to {linked})")
 
 
 MAX_HANDSHAKES: Final = 256
@@ -215,7 +215,7 @@ class Mesh:
 
         Raises:
             LocalProtocolError: it cannot be encoded, or is too large.
-            PeerLost: the agent is not connected; the sentence says whether it sleeps.
+            PeerLostError: the agent is not connected; the sentence says whether it sleeps.
             PeerBusy: the agent is connected but too slow, and the channel may not lose packets.
         """
         return self._sending.send(packet, retry)

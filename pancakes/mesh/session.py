@@ -22,7 +22,7 @@ from typing import Any, Final, NamedTuple, Protocol
 
 import msgspec
 
-from pancakes.errors import MailboxFull
+from pancakes.errors import MailboxFullError
 from pancakes.mesh.admission import Bucket
 from pancakes.mesh.codec import encode_link_message, frame, run_of
 from pancakes.mesh.link import Link
@@ -66,7 +66,7 @@ _DROPS: Final = threading.Lock()
 Key = tuple[str, str, str]
 
 
-class PeerBusy(MailboxFull):
+class PeerBusy(MailboxFullError):
     """The window of a peer's channel is full: the packet went to no peer, and the publisher may try again."""
 
 

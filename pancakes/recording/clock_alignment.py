@@ -276,8 +276,8 @@ class MissionTime:
 
 def _zero_ns(entries: Iterable[RecordedPacket], speed: float) -> int | None:
     own = (entry for entry in islice(entries, MOST) if agent_of(entry.packet.source) == entry.agent)
-    begun = (entry for entry in own if entry.packet.stamp > 0.0)
-    zeros = (entry.time_ns - round(entry.packet.stamp / speed * NANOSECONDS) for entry in begun)
+    begun = (entry for entry in own if entry.packet.stamp_s > 0.0)
+    zeros = (entry.time_ns - round(entry.packet.stamp_s / speed * NANOSECONDS) for entry in begun)
     return min(islice(zeros, ENOUGH), default=None)
 
 

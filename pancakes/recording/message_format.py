@@ -134,7 +134,7 @@ def data_of(packet: Packet) -> bytes:
     Raises:
         LocalProtocolError: its body cannot be recorded.
     """
-    row = _Row(packet.source, packet.destination, packet.stamp, packet.seq, packet.cause, packet.fence, packet.body)
+    row = _Row(packet.source, packet.destination, packet.stamp_s, packet.seq, packet.cause, packet.fence, packet.body)
     try:
         data = codecs.encode_json(row)
     except Exception:  # a body may run its own code when it is encoded

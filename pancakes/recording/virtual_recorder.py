@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Final
 
 from pancakes.control import Describe
-from pancakes.errors import ControlRefused
+from pancakes.errors import ControlRefusedError
 from pancakes.events import Event
 from pancakes.kernel.kernel import Counter, Kernel
 from pancakes.packet import LOG, Packet, agent_of, join
@@ -83,7 +83,7 @@ class VirtualRecorder:
             asked = Describe(slot.name, state=True, began=seen)
             described = {**service.describe_in_detail(slot), **task.describe_state(asked)}
             self._recording.describe(described, seen)
-        except ControlRefused as error:
+        except ControlRefusedError as error:
             self._say(str(error))
 
     def _write_later(self) -> None:

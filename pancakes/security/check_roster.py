@@ -17,11 +17,11 @@ from pancakes.security.roster import FALSE, MOST_BYTES, UNKEPT, read_signed
 from pancakes.util.files import read_plain
 
 
-class FalseRoster(PancakesError):
+class FalseRosterError(PancakesError):
     """A roster that the authority of the fleet has not signed."""
 
 
-class UnkeptRoster(PancakesError):
+class UnkeptRosterError(PancakesError):
     """A roster that the authority of the fleet has signed, but that cannot be written to the key folder."""
 
 
@@ -29,8 +29,8 @@ def check(folder: Path, text: bytes) -> None:
     """Check a roster, and keep it in a key folder.
 
     Raises:
-        FalseRoster: it is not a roster, or not signed by the authority of the folder's fleet.
-        UnkeptRoster: it was signed, but cannot be written.
+        FalseRosterError: it is not a roster, or not signed by the authority of the folder's fleet.
+        UnkeptRosterError: it was signed, but cannot be written.
         PancakesError: it cannot be checked.
     """
     with needing_extra("a roster cannot be checked"):
@@ -38,9 +38,11 @@ def check(folder: Path, text: bytes) -> None:
     try:
         signed, roster = read_signed(text)
     except ValueError as error:
-        raise FalseRoster(str(error)) from None
+        raise FalseRosterError(str(error)) from None
     if not signed_by(folder / FLEET, signed):
-        raise FalseRoster(f"the roster {roster.number} was not signed by the authority of the fleet {roster.fleet}")
+        raise FalseRosterError(
+            f"the roster {roster.number} was not signed by the authority of the fleet {roster.fleet}"
+        )
     path = folder / ROSTER
     try:
         kept = read_signed(read_plain(path))[1].number if path.exists() else 0
@@ -48,7 +50,7 @@ def check(folder: Path, text: bytes) -> None:
             write_private(path, text)
     except (OSError, ValueError) as error:
         why = (error.strerror if isinstance(error, OSError) else "") or str(error)
-        raise UnkeptRoster(f"the roster {roster.number} cannot be kept in {folder}: {why}") from None
+        raise UnkeptRosterError(f"the roster {roster.number} cannot be kept in {folder}: {why}") from None
 
 
 def main() -> None:
@@ -57,7 +59,7 @@ def main() -> None:
         check(Path(sys.argv[1]), sys.stdin.buffer.read(MOST_BYTES + 1))
     except PancakesError as error:
         print(error, file=sys.stderr)
-        codes = {FalseRoster: FALSE, UnkeptRoster: UNKEPT}
+        codes = {FalseRosterError: FALSE, UnkeptRosterError: UNKEPT}
         sys.exit(codes.get(type(error), 1))
 
 

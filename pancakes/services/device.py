@@ -16,7 +16,7 @@ from pancakes.devices.driver import Actuator, Driver, Sensor
 from pancakes.devices.health import Line, MissRule, Readings
 from pancakes.devices.validation import fault_of_command, reading_check
 from pancakes.durable.ownership import TaskAt
-from pancakes.errors import MailboxFull, NoPermit, PancakesError, describe
+from pancakes.errors import MailboxFullError, NoPermitError, PancakesError, describe
 from pancakes.events import Log
 from pancakes.kernel.handlers import Tick, every, on
 from pancakes.kernel.mailbox import Mailbox
@@ -205,7 +205,7 @@ class DeviceTask(TaskCore, Task):
         if actuator:
             self.subscribe(CTRL, driver_class.type, self.command)
             self.subscribe(NETWORK, TaskAt, self._told_where)
-        alone_s = self._actuator.holds_by_itself(self.device.hold_after_s) if self._actuator is not None else None
+        alone_s = self._actuator.watchdog_s(self.device.hold_after_s) if self._actuator is not None else None
         self.kernel.registry.add_device(
             DeviceEntry(self.name, driver_class.type, actuator, driver_class.networked, self.address, alone_s)
         )
@@ -250,7 +250,7 @@ class DeviceTask(TaskCore, Task):
             return
         try:
             if isinstance(driver, Actuator):
-                driver.hold()
+                driver.safe_stop()
         finally:
             driver.close()
 
@@ -258,7 +258,7 @@ class DeviceTask(TaskCore, Task):
         self.on_stop()
 
     @every(hz=0)
-    def sample(self, tick: Tick) -> None:
+    def read(self, tick: Tick) -> None:
         """Take a reading and publish it."""
         sensor = self._sensor
         try:
@@ -266,7 +266,7 @@ class DeviceTask(TaskCore, Task):
                 if self._actuator is not None:
                     self._actuator.tick()
                 return
-            reading = sensor.sample()
+            reading = sensor.read()
             if reading is not None and (fault := self._fault_of(reading)):
                 raise PancakesError(fault)
         except Exception as error:
@@ -317,8 +317,8 @@ class DeviceTask(TaskCore, Task):
 
     def _publish(self, reading: Any) -> None:
         try:
-            stamp_s = self.publish(SYSTEM, reading).stamp
-        except MailboxFull as error:
+            stamp_s = self.publish(SYSTEM, reading).stamp_s
+        except MailboxFullError as error:
             stamp_s = self.now()
             # A sensor goes on although a reader is slow. Said once: at 10 readings a second it would drown the rest.
             if not self._crowded:
@@ -369,8 +369,8 @@ class DeviceTask(TaskCore, Task):
         # What a virtual actuator sends on is said under the right of the task that commands it.
         self.fence = fence
         try:
-            driver.apply(packet.body, ttl_s, packet.source)
-        except NoPermit:  # it was over before a virtual actuator had sent it on
+            driver.write(packet.body, ttl_s, packet.source)
+        except NoPermitError:  # it was over before a virtual actuator had sent it on
             self._come_late(packet)
             return
         except Exception as error:
@@ -463,7 +463,7 @@ class DeviceTask(TaskCore, Task):
         self._holding = True
         self._fence.drop()
         if isinstance(self.driver, Actuator):
-            self.driver.hold()
+            self.driver.safe_stop()
             self.event("safe_hold", device=self.name, reason=reason)
             holder = self.kernel.registry.holder(self.name)
             if holder and agent_of(holder) != self.agent:
@@ -514,7 +514,7 @@ class DeviceService(ServiceCore, Service):
         ]
         told = {**super().describe_in_detail(slot), "fences": fences}
         entry = next((it for it in self.kernel.registry.devices() if it.name == slot.name and it.actuator), None)
-        return {**told, "holds_by_itself_s": entry.holds_by_itself_s} if entry is not None else told
+        return {**told, "watchdog_s": entry.watchdog_s} if entry is not None else told
 
     def author_of(self, slot: Slot) -> type:
         device: DeviceSpec | None = slot.spec.arguments.get("device")

@@ -18,11 +18,11 @@ from pancakes.control import SetFence
 from pancakes.durable.courier import COURIER
 from pancakes.durable.ownership import TaskAt, WhereIs, whereabouts
 from pancakes.durable.record import Record, TaskId
-from pancakes.durable.store import Ledgers, Records
+from pancakes.durable.store import MigrationReports, Records
 from pancakes.errors import MigrationError, PancakesError
 from pancakes.journal import Disk, RecordTable
 from pancakes.kernel.actor import ActorCore
-from pancakes.migration import Ledger
+from pancakes.migration import MigrationReport
 from pancakes.packet import NETWORK, Fence, Packet, agent_of, join
 from pancakes.services.fence_rule import (
     AskAgent,
@@ -105,7 +105,7 @@ class FencesOfAgent(msgspec.Struct, frozen=True):
 
     fences: Fences
     records: Records
-    ledgers: Ledgers
+    ledgers: MigrationReports
 
 
 class _Pending(msgspec.Struct):
@@ -321,7 +321,7 @@ class ActuatorFence:
     def _set(self, setting: _Setting, owner: PresentOwner, result: dict[str, Any]) -> None:
         before = result["before"] or "nothing"
         reason = f"the fence of {result['actuator']} was at {before}, and is at {result['now']} now"
-        account = Ledger(setting.body.task_id, self._task.agent, setting.by, "", "fenced", owner.name, (), 0.0)
+        account = MigrationReport(setting.body.task_id, self._task.agent, setting.by, "", "fenced", owner.name, (), 0.0)
         self._ledgers.add(account, reason, self._task.now())
         setting.done("", result)
 

@@ -23,7 +23,7 @@ from msgspec.structs import replace
 from pancakes.control import History, Start, Traces
 from pancakes.events import LEVELS, Event, LogLine, level_of, line_of, record_of
 from pancakes.journal import Disk, RecordTable
-from pancakes.kernel.handlers import on, queue
+from pancakes.kernel.handlers import drop_oldest, on
 from pancakes.kernel.payload_size import weigh
 from pancakes.packet import LOG, Packet
 from pancakes.recording.recorder import Recorder, RecordingBegan
@@ -95,7 +95,7 @@ def wanted_recordings(disk: Disk) -> RecordTable[WantedRecording]:
 
 
 RECORDER = "Recorder"
-KEEP = queue(4096)
+KEEP = drop_oldest(4096)
 """A file or terminal that is slow for a moment loses nothing; one that is stuck loses the oldest."""
 
 
@@ -109,7 +109,7 @@ class Console(LogWriter):
         traceback: bool
         share_kib_s: Annotated[float, Meta(ge=0.0)]
 
-    @on(LOG, None, keep=KEEP)
+    @on(LOG, None, queue=KEEP)
     def show(self, packet: Packet) -> None:
         """Write one line, or count it."""
         level = level_of(packet.body)
@@ -125,7 +125,7 @@ class Console(LogWriter):
             text = " ".join([body.kind, *(f"{key}={value}" for key, value in fields if value not in (None, ""))])
         else:
             text = f"{packet.type} {body}"
-        line = printable_line(f"{packet.stamp:9.3f} {level_of(body):<7} {packet.source}: {text}")
+        line = printable_line(f"{packet.stamp_s:9.3f} {level_of(body):<7} {packet.source}: {text}")
         if self.settings.traceback and isinstance(body, LogLine):
             line = "\n".join([line, *(printable(f"          {row}") for row in body.traceback.splitlines())])
         try:
@@ -228,7 +228,7 @@ class LogService(ServiceCore, Service):
         if self._tracing is not None:
             self._tracing.end()
 
-    @on(LOG, None, keep=KEEP)
+    @on(LOG, None, queue=KEEP)
     def remember(self, packet: Packet) -> None:
         """Keep one line, for questions that come later."""
         self._entries += 1
@@ -265,7 +265,7 @@ class LogService(ServiceCore, Service):
         page: list[dict[str, Any]] = []
         size = 0
         for entry, _, packet in self._newest:
-            if entry <= body.after or packet.stamp < since_s:
+            if entry <= body.after or packet.stamp_s < since_s:
                 continue
             line = line_of(record_of(packet))
             if len(line) > LONGEST:

@@ -20,7 +20,7 @@ import msgspec
 from msgspec import Meta
 
 from pancakes.events import line_of, record_of
-from pancakes.kernel.handlers import on, queue
+from pancakes.kernel.handlers import on
 from pancakes.packet import LOG, Packet
 from pancakes.services.log_writer import LogWriter
 from pancakes.settings import FilePath
@@ -137,7 +137,7 @@ class LogFile(LogWriter):
         path = self.settings.path
         self.log("warning", f"the log file {path} was moved or removed by another program: a new one begins")
 
-    @on(LOG, None, keep=queue(4096))
+    @on(LOG, None, queue=4096)
     def write(self, packet: Packet) -> None:
         """Write one line, or count it."""
         self.write_some(packet)
@@ -147,7 +147,7 @@ class LogFile(LogWriter):
         if broken_until_s is not None and self._actor.kernel.host.now() < broken_until_s:
             self._missing += 1
             return 0
-        record, utc_s = record_of(packet), self._actor.kernel.utc_s(packet.stamp)
+        record, utc_s = record_of(packet), self._actor.kernel.utc_s(packet.stamp_s)
         line = line_of(record if utc_s is None else {**record, "utc": utc_text(utc_s)})
         try:
             self._file.write(line)

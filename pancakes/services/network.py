@@ -18,8 +18,8 @@ from pancakes.control import Follow, ReloadKeys, Stop, Unfollow
 from pancakes.durable.bidding import TaskMigrator
 from pancakes.durable.census import CENSUS, NetworkBegan
 from pancakes.durable.host_state import HostState
-from pancakes.durable.store import Ledgers
-from pancakes.errors import ControlRefused, PancakesError, PeerLost, UnknownChannel
+from pancakes.durable.store import MigrationReports
+from pancakes.errors import ControlRefusedError, PancakesError, PeerLostError, UnknownChannelError
 from pancakes.kernel.actor import ActorCore
 from pancakes.kernel.handlers import Tick, every
 from pancakes.kernel.kernel import Kernel
@@ -58,15 +58,15 @@ class Follower:
         owner: the component in whose turns is sent what did not leave at once.
         mesh: the way to the follower.
         agent: the follower's agent.
-        foreign: whether packets of other agents count.
+        include_remote: whether packets of other agents count.
         most_hz: at most so many packets a second of each source and type, `LEAST_HZ` or more; 0: all.
     """
 
-    def __init__(self, owner: ActorCore, mesh: Mesh, agent: str, foreign: bool, most_hz: float) -> None:
+    def __init__(self, owner: ActorCore, mesh: Mesh, agent: str, include_remote: bool, most_hz: float) -> None:
         self._owner = owner
         self._mesh = mesh
         self._agent = agent
-        self._foreign = foreign
+        self._foreign = include_remote
         self._period_s = 1.0 / most_hz if most_hz else 0.0
         self._due_s = -math.inf
         self._newest: dict[tuple[str, str], Packet] = {}
@@ -165,7 +165,7 @@ class NetworkClient(Task):
         """
         try:
             self._mesh.send(packet)
-        except PeerLost:
+        except PeerLostError:
             self._actor.kernel.stream.undelivered += 1
             self._actor.kernel.unheard.elsewhere(packet, self._mesh.connected())
 
@@ -212,7 +212,7 @@ class NetworkService(ServiceCore, Service):
         keys: FilePath = ""
         transports: dict[str, dict[str, bool | int | float | str | list[str]]] = field(default_factory=dict)
 
-    def __init__(self, *args: Any, mesh: Mesh, state: HostState, ledgers: Ledgers, **others: Any) -> None:
+    def __init__(self, *args: Any, mesh: Mesh, state: HostState, ledgers: MigrationReports, **others: Any) -> None:
         super().__init__(*args, **others)
         self._mesh = mesh
         self._state = state
@@ -288,10 +288,10 @@ class NetworkService(ServiceCore, Service):
             try:
                 self.reply(request, result=self._mesh.reload_keys(body.dry_run))
             except PancakesError as error:
-                raise ControlRefused(str(error), error.code) from None
+                raise ControlRefusedError(str(error), error.code) from None
         elif isinstance(body, Stop) and slot is not None and slot.name == CLIENT and agent_of(request.by) != self.agent:
             # Without it no answer leaves.
-            raise ControlRefused(
+            raise ControlRefusedError(
                 f"{slot.address} cannot be stopped from elsewhere: no packet from elsewhere could start it again"
             )
         else:
@@ -300,31 +300,33 @@ class NetworkService(ServiceCore, Service):
     def _follow(self, body: Follow, request: Request) -> None:
         by = request.by
         if agent_of(by) == self.agent:
-            raise ControlRefused(f"{by} is on this agent: it can subscribe to {body.channel!r} itself", "unsupported")
+            raise ControlRefusedError(
+                f"{by} is on this agent: it can subscribe to {body.channel!r} itself", "unsupported"
+            )
         destination = agent_of(by)
         hello = self._mesh.connected().get(destination)
         if hello is None:
             # It has asked and gone, and no agent would ever end what it began.
-            raise ControlRefused(f"{destination} is not connected, so it cannot follow {body.channel!r}", "unable")
-        if body.foreign and hello.role != "client":
+            raise ControlRefusedError(f"{destination} is not connected, so it cannot follow {body.channel!r}", "unable")
+        if body.include_remote and hello.role != "client":
             # Two agents that follow each other would send one packet to and fro for ever.
-            raise ControlRefused(
+            raise ControlRefusedError(
                 f"{destination} is no client, so it cannot follow what others send to {self.agent}", "unsupported"
             )
         if body.most_hz != 0 and not LEAST_HZ <= body.most_hz < math.inf:
-            raise ControlRefused(
+            raise ControlRefusedError(
                 f"most_hz is to be 0 (all), or {LEAST_HZ:g} or more a second, not {body.most_hz}", "invalid"
             )
         self._unfollow(body.channel, by)
         if sum(agent_of(it) == destination for _, it in self._followers) >= MOST_FOLLOWED:
-            raise ControlRefused(
+            raise ControlRefusedError(
                 f"{destination} follows {MOST_FOLLOWED} times already, under as many addresses", "busy"
             )
-        follower = Follower(self, self._mesh, destination, body.foreign, body.most_hz)
+        follower = Follower(self, self._mesh, destination, body.include_remote, body.most_hz)
         try:
             self.kernel.stream.tap(body.channel, follower.take, body.types, by=by)
-        except UnknownChannel as error:
-            raise ControlRefused(str(error), error.code) from None
+        except UnknownChannelError as error:
+            raise ControlRefusedError(str(error), error.code) from None
         self._followers[body.channel, by] = follower
         self.reply(request)
 

@@ -44,7 +44,7 @@ from pancakes.control import (
     Unfollow,
 )
 from pancakes.durable.host_state import processor_time_s
-from pancakes.errors import ControlRefused, PancakesError, describe, traceback_of
+from pancakes.errors import ControlRefusedError, PancakesError, describe, traceback_of
 from pancakes.kernel.actor import ActorCore
 from pancakes.kernel.dispatchers import defer
 from pancakes.kernel.kernel import Kernel
@@ -105,14 +105,14 @@ class Measuring:
             done: called with its result, in the root's actor.
 
         Raises:
-            ControlRefused: it takes no time, or too long; or the agent lives in virtual time.
+            ControlRefusedError: it takes no time, or too long; or the agent lives in virtual time.
         """
         if not (SHORTEST_S <= for_s <= LONGEST_S) or math.isnan(for_s):
-            raise ControlRefused(
+            raise ControlRefusedError(
                 f"a measurement takes from {SHORTEST_S:g} to {LONGEST_S:g} s, not {for_s:g} s", "invalid"
             )
         if self._kernel.virtual is not None:
-            raise ControlRefused(
+            raise ControlRefusedError(
                 f"{self._kernel.agent} lives in virtual time, in which no processor time is measured", "unsupported"
             )
         if self._kernel.meter is None:
@@ -243,7 +243,7 @@ class Root(ActorCore):
 
     def on_start(self) -> None:
         for body in CONTROLS:
-            self.subscribe(SYSCTRL, body, self.on_control, keep=WAITING)
+            self.subscribe(SYSCTRL, body, self.on_control, queue=WAITING)
         if self._mission_start is None:
             self._services.start_next()
         else:
@@ -327,7 +327,7 @@ class Root(ActorCore):
             return
         if isinstance(body, Begin):
             if not 0 <= body.in_s < math.inf:
-                raise ControlRefused(f"a mission cannot begin in {body.in_s} s", "invalid")
+                raise ControlRefusedError(f"a mission cannot begin in {body.in_s} s", "invalid")
             self.kernel.begin(body.in_s)
             self.reply(request)
             return
@@ -367,13 +367,13 @@ class Root(ActorCore):
 
     def _hand_to_guardian(self, body: Guarding | Checkpoints | Take, request: Request) -> None:
         if not self.kernel.tell(GUARDIAN, AskedOfGuardian(body, request, self)):
-            raise ControlRefused(f"the guardian of {self.agent} is being started anew", "busy")
+            raise ControlRefusedError(f"the guardian of {self.agent} is being started anew", "busy")
 
     def _must_be_allowed(self, body: Any, request: Request, service: str, task: str) -> None:
         """Look whether a peer may ask for this.
 
         Raises:
-            ControlRefused: it lacks the right; the message names it, and the command that grants it.
+            ControlRefusedError: it lacks the right; the message names it, and the command that grants it.
         """
         peer, right = agent_of(request.by), right_of(body)
         if right == "look" or not service:
@@ -381,25 +381,25 @@ class Root(ActorCore):
         else:
             on = (join(self.agent, service, task) if task else f"{join(self.agent, service)}/",)
         if fault := self.kernel.access.fault(peer, right, *on):
-            raise ControlRefused(fault, "forbidden")
+            raise ControlRefusedError(fault, "forbidden")
 
     def find(self, target: str) -> tuple[str, str]:
         """Return the service and the task that a target means; the task is empty where it means a service.
 
         Raises:
-            ControlRefused: it means nothing here, or two things.
+            ControlRefusedError: it means nothing here, or two things.
         """
         parts = target.split("/")
         if parts and parts[0] == self.agent and len(parts) > 1:
             parts = parts[1:]
         if len(parts) == 2 and parts[0]:
             if parts[0] not in self.places:
-                raise ControlRefused(
+                raise ControlRefusedError(
                     f"{self.agent} has no service {parts[0]!r}, only {', '.join(self.places)}", "not_found"
                 )
             return parts[0], parts[1]
         if len(parts) != 1 or not parts[0]:
-            raise ControlRefused(f"{target!r} is no target: it must read task, service/task or service", "invalid")
+            raise ControlRefusedError(f"{target!r} is no target: it must read task, service/task or service", "invalid")
         name = parts[0]
         tasks = self.kernel.tasks
         # What was given away and stands in doubt is in no table of tasks any more, nor is what came here and was lost.
@@ -410,16 +410,16 @@ class Root(ActorCore):
             if place.service is not None and (tasks.get(service, name) is not None or service in doubted)
         ]
         if len(owners) > 1:
-            raise ControlRefused(f"{self.agent} has {name!r} in {' and in '.join(owners)}: say which", "ambiguous")
+            raise ControlRefusedError(f"{self.agent} has {name!r} in {' and in '.join(owners)}: say which", "ambiguous")
         if owners:
             return owners[0], name
         if name in self.places:
             return name, ""
         for place in self.places.values():
             if name in [spec.name for spec in place.spec.tasks]:
-                raise ControlRefused(f"{place.address} is {place.life.word}, and {name} with it")
+                raise ControlRefusedError(f"{place.address} is {place.life.word}, and {name} with it")
         meant = suggestion(name, [*self.places, *(entry.name for entry in tasks.all())])
-        raise ControlRefused(
+        raise ControlRefusedError(
             f"{self.agent} has no task or service {name!r}" + (f", did you mean {meant!r}?" if meant else ""),
             "not_found",
         )
@@ -428,19 +428,19 @@ class Root(ActorCore):
         """Return the service and the name that a target means of a task that is to begin.
 
         Raises:
-            ControlRefused: it is no target of a task.
+            ControlRefusedError: it is no target of a task.
         """
         parts = target.removeprefix(f"{self.agent}/").split("/")
         if len(parts) > 2 or not all(parts):
-            raise ControlRefused(f"{target!r} is no target: it must read task or service/task", "invalid")
+            raise ControlRefusedError(f"{target!r} is no target: it must read task or service/task", "invalid")
         if fault := fault_of_name(parts[-1]):
-            raise ControlRefused(fault, "forbidden")
+            raise ControlRefusedError(fault, "forbidden")
         return (parts[0] if len(parts) == 2 else CLIENT_SERVICE), parts[-1]
 
     def _hand(self, service: str, task: str, body: Any, request: Request) -> None:
         place = self.places.get(service)
         if place is None or place.service is None or place.life.state is not State.RUNNING:
-            raise ControlRefused(f"{join(self.agent, service)} is {place.life.word if place else 'not there'}")
+            raise ControlRefusedError(f"{join(self.agent, service)} is {place.life.word if place else 'not there'}")
         self.publish(SYSCTRL, Command(request.number, request.cause, task, body), to=place.address)
         self._answers.pass_on(request)
 
@@ -453,7 +453,7 @@ class Root(ActorCore):
             else:
                 self._change_service(place, body, request)
         elif type(body) in OF_TASKS_ONLY:
-            raise ControlRefused(f"{place.address} is a service: name one of its tasks", "unsupported")
+            raise ControlRefusedError(f"{place.address} is a service: name one of its tasks", "unsupported")
         elif place.service is not None:
             self._hand(place.spec.name, "", body, request)
         else:
@@ -468,9 +468,9 @@ class Root(ActorCore):
         name, life = place.spec.name, place.life
         if isinstance(body, Start):
             if life.state not in (State.STOPPED, State.FAILED, State.RESTARTING):
-                raise ControlRefused(f"{place.address} is {life.word} already")
+                raise ControlRefusedError(f"{place.address} is {life.word} already")
             if body.settings is not None:
-                raise ControlRefused(
+                raise ControlRefusedError(
                     f"{place.address} is a service: only a task can be started with other settings", "unsupported"
                 )
         elif isinstance(body, Stop):
@@ -504,12 +504,12 @@ class Root(ActorCore):
     def _refuse_stop(self, place: ServicePlace, body: Stop, request: Request) -> None:
         due = place.life.restarts.due_s is not None  # its next try, which a stop calls off
         if place.life.state not in (State.RUNNING, State.FAILED) and not due:
-            raise ControlRefused(f"{place.address} is {place.life.word}, not running")
+            raise ControlRefusedError(f"{place.address} is {place.life.word}, not running")
         if body.for_s is not None and not 0 < body.for_s < math.inf:
-            raise ControlRefused(f"{place.address} cannot be stopped for {body.for_s} s", "invalid")
+            raise ControlRefusedError(f"{place.address} cannot be stopped for {body.for_s} s", "invalid")
         elsewhere = agent_of(request.by) != self.agent
         if elsewhere and place.spec.name == NETWORK and body.for_s is None:
-            raise ControlRefused(
+            raise ControlRefusedError(
                 f"{place.address} can be stopped from elsewhere only for a time (for_s):"
                 " no packet from elsewhere could start it again"
             )
@@ -517,7 +517,7 @@ class Root(ActorCore):
         if place.service is not None:
             reason = spec.cls.refuse_stop(self.kernel, spec.name, spec.arguments, body.for_s)
             if reason:
-                raise ControlRefused(reason)
+                raise ControlRefusedError(reason)
 
     def next_command(self, place: ServicePlace) -> None:
         """Carry out the commands for a service that waited behind another."""
@@ -529,7 +529,7 @@ class Root(ActorCore):
     def _end_agent(self, body: Shutdown, request: Request) -> None:
         reason = self._shutdown(True)
         if reason:
-            raise ControlRefused(f"{self.agent} cannot be ended: {reason}")
+            raise ControlRefusedError(f"{self.agent} cannot be ended: {reason}")
         if not body.dry_run:
             self.event("asked", what="shutdown", by=request.by, number=request.number)
         # The answer has to leave before the way out is closed.
@@ -584,7 +584,7 @@ class Root(ActorCore):
         """Return what is to be known about one channel, or about all, as plain values.
 
         Raises:
-            UnknownChannel: there is no such channel.
+            UnknownChannelError: there is no such channel.
         """
         stream = self.kernel.stream
         return [

@@ -13,7 +13,7 @@ from typing import Any, Final
 import msgspec
 
 from pancakes.control import Traces
-from pancakes.errors import ControlRefused
+from pancakes.errors import ControlRefusedError
 from pancakes.kernel.actor import ActorCore
 from pancakes.kernel.payload_size import weight_of
 from pancakes.packet import LOG, SYSCTRL, Cause, Packet, agent_of
@@ -189,7 +189,7 @@ class Tracing:
             told: called with the answer, in this turn or a later one.
 
         Raises:
-            ControlRefused: too many questions wait already.
+            ControlRefusedError: too many questions wait already.
         """
         now_s = self._owner.kernel.host.now()
         if asked.most <= 0:
@@ -199,12 +199,12 @@ class Tracing:
             told(None)
             return
         if len(self._questions) >= MOST_QUESTIONS:
-            raise ControlRefused(
+            raise ControlRefusedError(
                 f"{MOST_QUESTIONS} questions for what led to commands wait for their answers already", "busy"
             )
         askers = [it for it in self._asked_s if agent_of(it) == agent_of(by)]
         if by not in askers and len(askers) >= MOST_ASKERS:
-            raise ControlRefused(
+            raise ControlRefusedError(
                 f"{MOST_ASKERS} components of {agent_of(by)} ask for what led to commands already", "busy"
             )
         if self._packets is None:
@@ -295,7 +295,7 @@ def _row(time_ns: int, packet: Packet) -> list[Any]:
         said = "it cannot be shown"
     # A flat row of plain values: what is nested is looked through value by value before it travels.
     cause, number = packet.cause or ("", 0)
-    return [time_ns, packet.channel, packet.type, packet.source, packet.seq, packet.stamp, cause, number, said]
+    return [time_ns, packet.channel, packet.type, packet.source, packet.seq, packet.stamp_s, cause, number, said]
 
 
 def _size(body: Any) -> int:

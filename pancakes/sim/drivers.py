@@ -97,7 +97,7 @@ class SimulatedSensor(_SimulatedDevice, Sensor):
     def open(self) -> None:
         self._attach()
 
-    def sample(self) -> Any | None:
+    def read(self) -> Any | None:
         """Ask for a reading, which comes later. Only one request is pending at a time."""
         bus = self._bus
         if bus is not None and not bus.waiting:
@@ -178,7 +178,7 @@ class DifferentialDrive(_SimulatedDevice, Actuator):
             self._kinematics = replace(model.drive, wheel_base_m=self.settings.wheel_base_m)
         self._attach(model.name)
 
-    def apply(self, command: Twist, ttl_s: float, source: str) -> None:
+    def write(self, command: Twist, ttl_s: float, source: str) -> None:
         """Run the wheels. Without a connection to the world, the command is lost."""
         if self._bus is None:
             return
@@ -187,11 +187,11 @@ class DifferentialDrive(_SimulatedDevice, Actuator):
             Drive(self._body, self.context.device, wheels.left_mps, wheels.right_mps, ttl_s, source),
         )
 
-    def holds_by_itself(self, hold_after_s: float) -> float:
+    def watchdog_s(self, hold_after_s: float) -> float:
         """Return the hold time: the world, in place of a firmware, counts each command's time to live."""
         return hold_after_s
 
-    def hold(self) -> None:
+    def safe_stop(self) -> None:
         """Stop the wheels at once."""
         if self._bus is not None:
             self._bus.send(Halt(self._body, self.context.device))

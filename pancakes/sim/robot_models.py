@@ -270,7 +270,7 @@ PIONEER_3DX: Final = RobotModel(
 _MODELS = {model.name: model for model in (KHEPERA_III, PIONEER_3DX)}
 
 
-class UnknownRobotModel(PancakesError, ValueError):
+class UnknownRobotModelError(PancakesError, ValueError):
     """There is no kind of robot of this name; the message lists those there are."""
 
 
@@ -278,10 +278,10 @@ def robot_model(name: str) -> RobotModel:
     """Return the kind of robot that a configuration calls `name`.
 
     Raises:
-        UnknownRobotModel: there is none of that name.
+        UnknownRobotModelError: there is none of that name.
     """
     model = _MODELS.get(name)
     if model is None:
         hint = did_you_mean(name, _MODELS)
-        raise UnknownRobotModel(f"there is no robot model {name!r} (there are {', '.join(sorted(_MODELS))}){hint}")
+        raise UnknownRobotModelError(f"there is no robot model {name!r} (there are {', '.join(sorted(_MODELS))}){hint}")
     return model

@@ -13,13 +13,13 @@ Nothing here sleeps, and nothing takes the time of the machine.
 from typing import TYPE_CHECKING, Any
 
 from pancakes.mesh.memory_network import Quality
-from pancakes.simulation.agent_handle import AgentHandle, NotInTime, Probe, SimulationError
+from pancakes.simulation.agent_handle import AgentHandle, NotInTimeError, Probe, SimulationError
 from pancakes.simulation.fleet import Faults, Fleet
 
 if TYPE_CHECKING:
     from pancakes.simulation.simulation import Simulation
 
-__all__ = ["AgentHandle", "Faults", "Fleet", "NotInTime", "Probe", "Quality", "Simulation", "SimulationError"]
+__all__ = ["AgentHandle", "Faults", "Fleet", "NotInTimeError", "Probe", "Quality", "Simulation", "SimulationError"]
 
 
 def __getattr__(name: str) -> Any:

@@ -17,14 +17,14 @@ from pancakes.durable.bidding_messages import MIGRATOR
 from pancakes.errors import PancakesError
 from pancakes.events import Event, LogLine, line_of, record_of
 from pancakes.kernel.actor import ActorCore
-from pancakes.kernel.handlers import Subscription, queue
+from pancakes.kernel.handlers import Subscription, drop_oldest
 from pancakes.kernel.kernel import Kernel
 from pancakes.kernel.mailbox import Mailbox
 from pancakes.packet import LOG, SYSCTRL, Packet, covers, join, type_name
 from pancakes.supervision.service_core import ServiceCore
 from pancakes.supervision.slots import Slot, describe_task
 
-KEEP = queue(1_000_000)
+KEEP = drop_oldest(1_000_000)
 LOOK_S = 0.02
 """How often, in host time, a wait on threads checks its condition if no packet comes."""
 
@@ -75,7 +75,7 @@ class Probe(ActorCore):
         if known:  # it was closed, and is there again
             self.kernel.stream.subscribe(self.address, self.actor_inbox, Subscription(channel, None, KEEP))
         else:
-            self.subscribe(channel, None, self._receive, keep=KEEP)
+            self.subscribe(channel, None, self._receive, queue=KEEP)
 
     def _receive(self, packet: Packet) -> None:
         with self._news:
@@ -110,7 +110,7 @@ class Probe(ActorCore):
         with self._news:
             self._received.clear()
 
-    def wait(self, condition: Callable[[], bool], at_most_s: float) -> bool:
+    def wait(self, condition: Callable[[], bool], timeout_s: float) -> bool:
         """Wait until a condition is true; actors must not call it.
 
         In virtual time it runs all actors meanwhile. On threads it checks the condition with each packet, and every
@@ -118,16 +118,16 @@ class Probe(ActorCore):
 
         Args:
             condition: is called in this thread.
-            at_most_s: how long to wait: virtual seconds, or seconds of the host.
+            timeout_s: how long to wait: virtual seconds, or seconds of the host.
 
         Returns:
             Whether it became true in time.
         """
         virtual = self.kernel.virtual
         if virtual is not None:
-            return virtual.run_while(lambda: not condition(), virtual.clock.now() + at_most_s)
+            return virtual.run_while(lambda: not condition(), virtual.clock.now() + timeout_s)
         host = self.kernel.host
-        until_s = host.now() + at_most_s
+        until_s = host.now() + timeout_s
         with self._news:
             while not condition():
                 left_s = until_s - host.now()
@@ -147,7 +147,7 @@ class SimulationError(PancakesError):
     """A simulation cannot do what it is asked."""
 
 
-class NotInTime(SimulationError, AssertionError):
+class NotInTimeError(SimulationError, AssertionError):
     """What was waited for did not come in time, or is not there. In a test it is a failure, as any `AssertionError`."""
 
 
@@ -207,7 +207,7 @@ class AgentHandle:
         """
         found = self.component(join(service, name))
         if found is None:
-            raise NotInTime(f"{name} does not run on {self.name}, only {self.running()}")
+            raise NotInTimeError(f"{name} does not run on {self.name}, only {self.running()}")
         return found.facade
 
     def running(self, service: str = "client") -> list[str]:
@@ -225,25 +225,25 @@ class AgentHandle:
         """Publish a packet in the probe's name; see `Component.publish`."""
         return self.probe.publish(channel, body, to)
 
-    def ask(self, body: Any, to: str = "", at_most_s: float = PATIENCE_S) -> Reply:
+    def ask(self, body: Any, to: str = "", timeout_s: float = PATIENCE_S) -> Reply:
         """Publish a control packet, and wait for the reply.
 
         Args:
             body: the control packet's body.
             to: the agent that it is for; empty: this one.
-            at_most_s: how long to wait.
+            timeout_s: how long to wait.
         """
         asked = self.publish(SYSCTRL, body, to)
-        return self.reply_to(asked, at_most_s)
+        return self.reply_to(asked, timeout_s)
 
-    def reply_to(self, asked: Packet, at_most_s: float = PATIENCE_S) -> Reply:
+    def reply_to(self, asked: Packet, timeout_s: float = PATIENCE_S) -> Reply:
         """Wait for the reply to a control packet that the probe has published."""
         cause = (asked.source, asked.seq)
 
         def replies() -> list[Packet]:
             return [packet for packet in self.probe.packets(Reply) if packet.cause == cause]
 
-        self.wait_until(lambda: bool(replies()), at_most_s, f"a reply to {asked.body}")
+        self.wait_until(lambda: bool(replies()), timeout_s, f"a reply to {asked.body}")
         reply = replies()[0].body
         assert isinstance(reply, Reply)
         return reply
@@ -255,32 +255,32 @@ class AgentHandle:
         *,
         channel: str = "",
         source: str = "",
-        at_most_s: float = PATIENCE_S,
+        timeout_s: float = PATIENCE_S,
     ) -> Packet:
         """Wait until a packet is published, and return the first that fits; see `Probe.packets`."""
 
         def found() -> list[Packet]:
             return self.probe.packets(body, where, channel=channel, source=source)
 
-        self.wait_until(lambda: bool(found()), at_most_s, f"a packet of the type {type_name(body)!r}")
+        self.wait_until(lambda: bool(found()), timeout_s, f"a packet of the type {type_name(body)!r}")
         return found()[0]
 
-    def wait_for_event(self, kind: str, at_most_s: float = PATIENCE_S, **fields: Any) -> Mapping[str, Any]:
+    def wait_for_event(self, kind: str, timeout_s: float = PATIENCE_S, **fields: Any) -> Mapping[str, Any]:
         """Wait for an event with these fields, and return all of its fields."""
         fits = _event(kind, fields)
-        packet = self.wait_for(Event, fits, channel=LOG, at_most_s=at_most_s)
+        packet = self.wait_for(Event, fits, channel=LOG, timeout_s=timeout_s)
         assert isinstance(packet.body, Event)
         return packet.body.fields
 
-    def wait_until(self, condition: Callable[[], bool], at_most_s: float = PATIENCE_S, what: str = "") -> None:
+    def wait_until(self, condition: Callable[[], bool], timeout_s: float = PATIENCE_S, what: str = "") -> None:
         """Run the agent, or wait for it, until a condition is true.
 
         Raises:
-            NotInTime: it did not become true; the message ends with the last lines of the log.
+            NotInTimeError: it did not become true; the message ends with the last lines of the log.
         """
-        if not self.probe.wait(condition, at_most_s):
-            raise NotInTime(
-                f"{self.name}: {what or 'it'} did not come within {at_most_s:g} s; last on log:\n{self.log_tail(15)}"
+        if not self.probe.wait(condition, timeout_s):
+            raise NotInTimeError(
+                f"{self.name}: {what or 'it'} did not come within {timeout_s:g} s; last on log:\n{self.log_tail(15)}"
             )
 
     def events(self, kind: str = "", **fields: Any) -> list[Mapping[str, Any]]:

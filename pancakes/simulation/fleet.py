@@ -29,7 +29,7 @@ from pancakes.mesh.memory_network import MemoryNetwork, Quality
 from pancakes.migration import Cost
 from pancakes.packet import NETWORK, SYSCTRL, Packet, covers, type_name
 from pancakes.service import Service
-from pancakes.simulation.agent_handle import PATIENCE_S, AgentHandle, NotInTime
+from pancakes.simulation.agent_handle import PATIENCE_S, AgentHandle, NotInTimeError
 from pancakes.task import Task
 from pancakes.util import codecs
 from pancakes.util.clock import SkewedClock
@@ -382,19 +382,19 @@ class Fleet:
         """Run all agents for this many seconds of virtual time."""
         self.run_to(self.now() + duration_s)
 
-    def run_until(self, condition: Callable[[], bool], at_most_s: float = PATIENCE_S) -> bool:
+    def run_until(self, condition: Callable[[], bool], timeout_s: float = PATIENCE_S) -> bool:
         """Run all agents until a condition is true, which is checked after each event.
 
         Args:
             condition: returns whether it is true.
-            at_most_s: how long at most, in virtual seconds.
+            timeout_s: how long at most, in virtual seconds.
 
         Returns:
             Whether it became true.
         """
-        return self.dispatcher.run_while(lambda: not condition(), self.now() + at_most_s)
+        return self.dispatcher.run_while(lambda: not condition(), self.now() + timeout_s)
 
-    def connect(self, at_most_s: float = PATIENCE_S) -> None:
+    def connect(self, timeout_s: float = PATIENCE_S) -> None:
         """Run until every agent has a link to every other, or to as many as it keeps."""
 
         def meshed() -> bool:
@@ -403,8 +403,8 @@ class Fleet:
                 for agent in self.agents.values()
             )
 
-        if not self.run_until(meshed, at_most_s):
-            raise NotInTime(f"no full mesh within {at_most_s:g} s")
+        if not self.run_until(meshed, timeout_s):
+            raise NotInTimeError(f"no full mesh within {timeout_s:g} s")
 
 
 def assert_none_failed(agents: Iterable[AgentHandle]) -> None:

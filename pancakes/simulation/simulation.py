@@ -233,17 +233,17 @@ class Simulation:
         fleet = self._running()
         fleet.run_to(self._zero_s + round(self.now_s + seconds, DIGITS) + LATE_S)
 
-    def step_until(self, condition: Callable[[], bool], at_most_s: float = PATIENCE_S) -> bool:
+    def step_until(self, condition: Callable[[], bool], timeout_s: float = PATIENCE_S) -> bool:
         """Run all agents until a condition is true.
 
         Args:
             condition: is checked after each event.
-            at_most_s: how long at most, in virtual seconds.
+            timeout_s: how long at most, in virtual seconds.
 
         Returns:
             Whether it became true.
         """
-        return self._running().run_until(condition, at_most_s)
+        return self._running().run_until(condition, timeout_s)
 
     def crash(self, name: str) -> None:
         """End an agent as a power cut does; what its disk has not yet got is lost."""

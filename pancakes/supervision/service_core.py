@@ -14,7 +14,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from pancakes.control import Command, Describe, Hold, Refusal
-from pancakes.errors import ClassError, ControlRefused, NoPermit, PancakesError, describe, traceback_of
+from pancakes.errors import ClassError, ControlRefusedError, NoPermitError, PancakesError, describe, traceback_of
 from pancakes.kernel.actor import ActorCore, core_of
 from pancakes.kernel.handlers import on
 from pancakes.kernel.kernel import Kernel
@@ -205,10 +205,10 @@ class ServiceCore(ActorCore):
         """Make the place for a task, without starting it.
 
         Raises:
-            ControlRefused: the service has a task of this name.
+            ControlRefusedError: the service has a task of this name.
         """
         if spec.name in self.slots:
-            raise ControlRefused(f"{self.address} already has a task {spec.name}")
+            raise ControlRefusedError(f"{self.address} already has a task {spec.name}")
         address = join(self.agent, self.name, spec.name)
         slot = self.slots[spec.name] = Slot(spec.name, spec, address, Life(address, Restarts(spec.restart)))
         self.show(slot)
@@ -309,7 +309,7 @@ class ServiceCore(ActorCore):
             self.feed(slot, Finished("it stopped itself", closing=self.closing))
 
     def _fail(self, slot: Slot, error: BaseException, hopeless: bool = False) -> None:
-        hopeless, blameless = hopeless or isinstance(error, ClassError), isinstance(error, NoPermit)
+        hopeless, blameless = hopeless or isinstance(error, ClassError), isinstance(error, NoPermitError)
         slot.failure = Failure(describe(error, self.author_of(slot)), traceback_of(error), self.now())
         self.feed(slot, Finished(slot.failure.text, True, hopeless, self.closing, blameless))
 
@@ -416,7 +416,7 @@ class ServiceCore(ActorCore):
 
     # Commands --------------------------------------------------------------------------------------------------
 
-    @on(SYSCTRL, Command, keep=WAITING, addressed=True)
+    @on(SYSCTRL, Command, queue=WAITING, addressed=True)
     def on_command(self, packet: Packet) -> None:
         """Carry out one command and answer it."""
         command: Command = packet.body
@@ -454,7 +454,7 @@ class ServiceCore(ActorCore):
         slot = self.slots.get(name)
         if slot is None:
             known = f"only {', '.join(self.slots)}" if self.slots else "nor any other"
-            raise ControlRefused(f"{self.address} has no task {name!r}, {known}", "not_found")
+            raise ControlRefusedError(f"{self.address} has no task {name!r}, {known}", "not_found")
         return slot
 
     def carry_out_command(self, body: Any, slot: Slot | None, request: Request) -> None:
@@ -466,18 +466,18 @@ class ServiceCore(ActorCore):
             request: what to answer.
 
         Raises:
-            ControlRefused: it cannot be done; becomes the answer.
+            ControlRefusedError: it cannot be done; becomes the answer.
         """
         asked_for = type(body).__name__.lower()
         if slot is not None:
             command = COMMANDS.get(type(body))
             if command is None:
-                raise ControlRefused(f"{slot.address} cannot be asked for {asked_for}", "unsupported")
+                raise ControlRefusedError(f"{slot.address} cannot be asked for {asked_for}", "unsupported")
             command(self, slot, body, request)
         elif isinstance(body, Describe):
             self.reply(request, result=[describe_task(self.kernel, task) for task in self.kernel.tasks.of(self.name)])
         else:
-            raise ControlRefused(f"{self.address} is a service and cannot be asked for {asked_for}", "unsupported")
+            raise ControlRefusedError(f"{self.address} is a service and cannot be asked for {asked_for}", "unsupported")
 
     def reply(self, request: Request, refusal: Refusal | None = None, result: Any = None) -> None:
         """Answer the sender of a request; without a refusal, it has been done."""

@@ -31,7 +31,7 @@ from pancakes.control import (
     Start,
     Stop,
 )
-from pancakes.errors import ControlRefused
+from pancakes.errors import ControlRefusedError
 from pancakes.kernel.actor import ActorCore
 from pancakes.kernel.handlers import reliable
 from pancakes.kernel.kernel import Kernel
@@ -258,7 +258,7 @@ def start(service: Commanded, slot: Slot, body: Start, request: Request) -> None
     """Start a task; the answer comes once it runs."""
     life = slot.life
     if life.state not in (State.STOPPED, State.REFUSED, State.FAILED, State.RESTARTING):
-        raise ControlRefused(f"{slot.address} is {life.word} already")
+        raise ControlRefusedError(f"{slot.address} is {life.word} already")
     carried = service.carried_of(slot)
     if body.settings is not None:
         _check_paths(service, slot, body.settings)
@@ -268,7 +268,7 @@ def start(service: Commanded, slot: Slot, body: Start, request: Request) -> None
         service.reply(request, Refusal.if_any(service.refuse_start(slot)))
         return
     if life.restarts.due_s is not None and (reason := service.refuse_start(slot)):
-        raise ControlRefused(reason, "unable")  # its next try stays due
+        raise ControlRefusedError(reason, "unable")  # its next try stays due
     service.tell_asked("start", slot, request)
     service.command_waits(slot, request)
     if body.settings is not None:
@@ -279,9 +279,9 @@ def start(service: Commanded, slot: Slot, body: Start, request: Request) -> None
 def stop(service: Commanded, slot: Slot, body: Stop, request: Request) -> None:
     """Stop a task; the answer comes once it has ended."""
     if slot.life.state is State.STOPPED and slot.rest != State.FAILED.value:  # as its record may say
-        raise ControlRefused(f"{slot.address} is stopped already")
+        raise ControlRefusedError(f"{slot.address} is stopped already")
     if body.for_s is not None:
-        raise ControlRefused(f"{slot.address} is a task: only a service can be stopped for a time")
+        raise ControlRefusedError(f"{slot.address} is a task: only a service can be stopped for a time")
     if body.dry_run:
         service.reply(request)
         return
@@ -307,11 +307,11 @@ def change(
     """Have a running task change, or say how it stands, in its own turn; the answer comes after that.
 
     Raises:
-        ControlRefused: the task does not run, or a path of a file lies outside of the folders that may be set.
+        ControlRefusedError: the task does not run, or a path of a file lies outside of the folders that may be set.
     """
     if slot.task is None or slot.life.state is not State.RUNNING:
         how = slot.how_it_is
-        raise ControlRefused(how if "does not run" in how else f"{how}, not running")
+        raise ControlRefusedError(how if "does not run" in how else f"{how}, not running")
     if isinstance(body, Configure):
         _check_paths(service, slot, body.settings)
     slot.changing = (*slot.changing, request)
@@ -320,9 +320,9 @@ def change(
 
 
 def _check_paths(service: Commanded, slot: Slot, settings: Mapping[str, Any]) -> None:
-    """Raise `ControlRefused` if settings have a path outside of the folders that the configuration names."""
+    """Raise `ControlRefusedError` if settings have a path outside of the folders that the configuration names."""
     if reason := service.kernel.folders.refusal_of(service.settings_class(slot), settings):
-        raise ControlRefused(f"bad settings for {slot.name}: {reason}", "invalid")
+        raise ControlRefusedError(f"bad settings for {slot.name}: {reason}", "invalid")
 
 
 def tell_of(service: Commanded, slot: Slot, body: Describe, request: Request) -> None:
@@ -335,14 +335,14 @@ def tell_of(service: Commanded, slot: Slot, body: Describe, request: Request) ->
 
 def refuse_removal(service: Commanded, slot: Slot, body: Any, request: Request) -> None:
     """Refuse what is about tasks that can be created."""
-    raise ControlRefused(
+    raise ControlRefusedError(
         f"{slot.address} cannot be removed: what {service.address} looks after is not created", "unsupported"
     )
 
 
 def refuse_move(service: Commanded, slot: Slot, body: Any, request: Request) -> None:
     """Refuse what is about tasks that can move."""
-    raise ControlRefused(
+    raise ControlRefusedError(
         f"{slot.address} cannot move: what {service.address} looks after stays with its agent", "unsupported"
     )
 

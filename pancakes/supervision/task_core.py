@@ -17,7 +17,7 @@ import msgspec
 
 from pancakes.control import Configure, Describe, Refusal, Reschedule, SetFence
 from pancakes.durable.delivery import Incoming
-from pancakes.errors import ControlRefused, PancakesError
+from pancakes.errors import ControlRefusedError, PancakesError
 from pancakes.kernel.actor import ActorCore
 from pancakes.kernel.handlers import checked_period, period_of
 from pancakes.kernel.mailbox import Mailbox, Reference, Told, tell
@@ -273,9 +273,9 @@ class TaskCore(ActorCore):
         """Set the fence of an actuator, and answer; every other task refuses.
 
         Raises:
-            ControlRefused: it is no actuator.
+            ControlRefusedError: it is no actuator.
         """
-        raise ControlRefused(f"{self.address} is no actuator: it has no fence", "unsupported")
+        raise ControlRefusedError(f"{self.address} is no actuator: it has no fence", "unsupported")
 
     def __take_change(self, message: ChangeTask) -> None:
         try:
@@ -312,7 +312,7 @@ class TaskCore(ActorCore):
         """Return how this task began, and its settings and state, as far as `Describe` asks for them. In the actor.
 
         Raises:
-            ControlRefused: what it keeps in its state cannot be written down.
+            ControlRefusedError: what it keeps in its state cannot be written down.
         """
         told: dict[str, Any] = {"began": self.began()} if asked.began else {}
         if not asked.state:
@@ -320,7 +320,9 @@ class TaskCore(ActorCore):
         try:
             carried = self.carry()
         except Exception as error:  # what a task keeps in its state may be anything
-            raise ControlRefused(f"the state of {self.address} cannot be written down: {error}", "failed") from None
+            raise ControlRefusedError(
+                f"the state of {self.address} cannot be written down: {error}", "failed"
+            ) from None
         now = {"host_s": self.kernel.host.now(), "mission_s": self.now()}
         return {**told, **now, "settings": carried.settings, "state": carried.state}
 

@@ -36,7 +36,7 @@ FEWEST_TICKS: Final = 5
 """The fewest ticks from which the time of a tick is known."""
 
 
-class NotKnown(PancakesError):
+class UnknownForecastError(PancakesError):
     """The measurement does not allow a forecast of this change; the message says what to do."""
 
 
@@ -107,15 +107,17 @@ class MeasuredAgent(msgspec.Struct, frozen=True):
         """Return one of its tasks.
 
         Raises:
-            NotKnown: the agent has no task of this name, or several.
+            UnknownForecastError: the agent has no task of this name, or several.
         """
         found = [it for it in self.tasks if it.task == name and service in ("", it.service)]
         if len(found) == 1:
             return found[0]
         if found:
             services = " and in ".join(it.service for it in found)
-            raise NotKnown(f"{self.agent} has {name!r} in {services}: name the service too")
-        raise NotKnown(f"{self.agent} has no task {name!r}, only {', '.join(it.task for it in self.tasks) or 'none'}")
+            raise UnknownForecastError(f"{self.agent} has {name!r} in {services}: name the service too")
+        raise UnknownForecastError(
+            f"{self.agent} has no task {name!r}, only {', '.join(it.task for it in self.tasks) or 'none'}"
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -215,11 +217,11 @@ def forecast_move(fleet: Sequence[MeasuredAgent], source: str, task: str, to: st
     """Return the effect of a task's migration.
 
     Raises:
-        NotKnown: the agent or the task does not exist, or the task does not run or is there already.
+        UnknownForecastError: the agent or the task does not exist, or the task does not run or is there already.
     """
     moved = _of(fleet, source).task(task, service)
     if source == to:
-        raise NotKnown(f"{source}/{task} is on {to} already")
+        raise UnknownForecastError(f"{source}/{task} is on {to} already")
     changes: dict[str, _Change] = {}
     notes: list[str] = []
     _move(changes, _of(fleet, source), moved, _of(fleet, to), notes)
@@ -235,21 +237,22 @@ def forecast_rate(
         rate_hz: ticks per second of mission time.
 
     Raises:
-        NotKnown: the agent, the task or the timer does not exist, or there were too few ticks to measure them.
+        UnknownForecastError: the agent, the task or the timer does not exist, or there were too few ticks to measure
+            them.
     """
     figures = _of(fleet, agent)
     changed = figures.task(task, service)
     if not (math.isfinite(rate_hz) and rate_hz >= 0.0):
-        raise NotKnown(f"{rate_hz} is not a rate: give a number of ticks per second, 0 or more")
+        raise UnknownForecastError(f"{rate_hz} is not a rate: give a number of ticks per second, 0 or more")
     timers = [it for it in changed.timers if timer in ("", it.timer)]
     if not timers:
         names = ", ".join(it.timer for it in changed.timers)
-        raise NotKnown(
+        raise UnknownForecastError(
             f"{agent}/{task} has no timer {timer!r}, only {names}" if names else f"{agent}/{task} has no timer"
         )
     found = timers[0]
     if found.ticks < FEWEST_TICKS:
-        raise NotKnown(
+        raise UnknownForecastError(
             f"{agent}/{task} ticked {found.ticks} times in {figures.span_s:.1f} s, which is too few for a forecast:"
             " measure longer (--for 30s)"
         )
@@ -277,7 +280,7 @@ def forecast_without(fleet: Sequence[MeasuredAgent], agent: str, places: Mapping
         places: the destination of each task, by `service/task`. Tasks without one end with the agent.
 
     Raises:
-        NotKnown: the agent does not exist.
+        UnknownForecastError: the agent does not exist.
     """
     figures = _of(fleet, agent)
     changes: dict[str, _Change] = {}
@@ -310,7 +313,9 @@ def _move(
 ) -> None:
     """Add the migration of a task to the changes."""
     if moved.state != "running":
-        raise NotKnown(f"{source.agent}/{moved.task} is {moved.state}: only a running task has a load to forecast")
+        raise UnknownForecastError(
+            f"{source.agent}/{moved.task} is {moved.state}: only a running task has a load to forecast"
+        )
     off_s = sum(_standard_errors(timer) for timer in moved.timers)
     besides_s = source.besides_s * moved.turns
     load = _uncertain(moved.turn_s, off_s, besides_s).times(1.0 / source.span_s)
@@ -438,7 +443,9 @@ def _of(fleet: Sequence[MeasuredAgent], agent: str) -> MeasuredAgent:
     for figures in fleet:
         if figures.agent == agent:
             return figures
-    raise NotKnown(f"the agent {agent!r} was not measured, only {', '.join(it.agent for it in fleet) or 'none'}")
+    raise UnknownForecastError(
+        f"the agent {agent!r} was not measured, only {', '.join(it.agent for it in fleet) or 'none'}"
+    )
 
 
 def _uncertain(value: float, off: float, besides: float) -> Expected:

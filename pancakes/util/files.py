@@ -21,11 +21,11 @@ from pancakes.util.codecs import sha256
 _VARIABLE: Final = re.compile(r"\$(?:\w+|\{\w+\})")
 
 
-class NoPath(PancakesError):
+class NoPathError(PancakesError):
     """A text is not a path; the message says why."""
 
 
-class NoHome(NoPath):
+class NoHome(NoPathError):
     """A folder of the user is needed, but not known; the message names what to set."""
 
 
@@ -37,14 +37,16 @@ def at_home(path: str, user: str = "") -> str:
         user: whose home `~` is; empty: that of the user of this process.
 
     Raises:
-        NoPath: it has a NUL in it, or a variable, which is not expanded.
+        NoPathError: it has a NUL in it, or a variable, which is not expanded.
         NoHome: the home folder is not known.
     """
     if "\0" in path:
-        raise NoPath("has a NUL in it, which no path may have")
+        raise NoPathError("has a NUL in it, which no path may have")
     found = _VARIABLE.search(path)
     if found:
-        raise NoPath(f"has {found[0]} in it, which is not expanded: write `~` for the home folder, or the whole path")
+        raise NoPathError(
+            f"has {found[0]} in it, which is not expanded: write `~` for the home folder, or the whole path"
+        )
     if not path.startswith("~"):
         return path
     name, slash, rest = path.partition("/")

@@ -65,7 +65,7 @@ BROUGHT_BY: Final = {
 """Pancakes' own distributions besides the core, by group and by the part of a name before the dot."""
 
 
-class UnknownPlugin(PluginError):
+class UnknownPluginError(PluginError):
     """No distribution offers a plug-in of this name.
 
     Attributes:
@@ -136,7 +136,7 @@ class Plugins:
         """Return a plug-in, importing it at the first call.
 
         Raises:
-            UnknownPlugin: no distribution offers it.
+            UnknownPluginError: no distribution offers it.
             PluginError: it cannot be imported, or two distributions offer it. The message names the distribution
                 and the reason.
         """
@@ -146,7 +146,7 @@ class Plugins:
         if key not in self._loaded:
             try:
                 self._loaded.setdefault(key, _load(group, name, self._find(group, name)))
-            except UnknownPlugin:
+            except UnknownPluginError:
                 raise
             except PluginError as error:
                 self._broken[key] = str(error)
@@ -170,7 +170,7 @@ class Plugins:
         """Return the distribution that offers a plug-in, and its version. Imports nothing.
 
         Raises:
-            UnknownPlugin: no distribution offers it.
+            UnknownPluginError: no distribution offers it.
             PluginError: two distributions offer it.
         """
         return self._find(group, name).version
@@ -261,14 +261,14 @@ def to_install(group: str, name: str, known: Collection[str]) -> str:
     return f"pip install {distribution}" if distribution and not is_there else ""
 
 
-def _unknown(group: str, name: str, known: list[str]) -> UnknownPlugin:
+def _unknown(group: str, name: str, known: list[str]) -> UnknownPluginError:
     problem = f"unknown {GROUPS[group]} {name!r}"
     if command := to_install(group, name, known):
-        return UnknownPlugin(f"{problem}: {command}", "")
+        return UnknownPluginError(f"{problem}: {command}", "")
     family = f"{name.partition('.')[0]}."
     if "." in name and not any(other.startswith(family) for other in known):
         problem += f": no installed distribution provides {group.removeprefix('pancakes.')} under {family!r}"
-    return UnknownPlugin(problem, suggestion(name, known))
+    return UnknownPluginError(problem, suggestion(name, known))
 
 
 def _line(error: BaseException) -> str:

@@ -214,7 +214,7 @@ def test_an_agent_that_crashed_says_and_does_nothing_more():
 def test_the_mission_of_an_agent_may_run_faster_than_its_host():
     with no_thread_left(), threaded_agent("a", tasks={"Chatty": Chatty}, speed=50.0) as agent:
         agent.wait_until(lambda: len(agent.probe.packets(Load)) >= 100)
-        stamps = [packet.stamp for packet in agent.probe.packets(Load)]
+        stamps = [packet.stamp_s for packet in agent.probe.packets(Load)]
         assert stamps[-1] - stamps[0] > 5.0
         assert agent.ask(Describe()).result["mission_s"] > 5.0
 

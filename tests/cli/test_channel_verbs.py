@@ -29,7 +29,7 @@ class Walk(Task):
 class Watch(Task):
     @on("pond", Battery)
     def see(self, packet):
-        self.event("saw", level=packet.body.level, by=packet.source, stamp=packet.stamp)
+        self.event("saw", level=packet.body.level, by=packet.source, stamp=packet.stamp_s)
 """
 ENTRY_POINTS = "[pancakes.tasks]\nwalk.Walk = plugin_walk:Walk\nwalk.Watch = plugin_walk:Watch\n"
 TASKS = '[channel.pond]\n[channel.dry]\n[task.Walk]\ntype = "walk.Walk"\n[task.Watch]\ntype = "walk.Watch"\n'
@@ -280,11 +280,11 @@ from pancakes.task import Task, every
 class Stuck(Actuator):
     type = "motors"
 
-    def apply(self, command, ttl_s, source):
+    def write(self, command, ttl_s, source):
         if command.v_mps > 1.0:
             raise PancakesError("the wheels are blocked")
 
-    def hold(self):
+    def safe_stop(self):
         pass
 
 class Drive(Task):

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from pancakes.errors import ConfigError, ControlRefused, Fault, PancakesError, Unreachable
+from pancakes.errors import ConfigError, ControlRefusedError, Fault, PancakesError, UnreachableError
 from pancakes.tools.cli.exit_codes import sentences
 
 
@@ -27,9 +27,9 @@ def ended_with(error: BaseException, capsys: pytest.CaptureFixture[str]) -> tupl
 def test_error_is_a_sentence_and_an_exit_code(capsys: pytest.CaptureFixture[str]):
     faults = ConfigError([Fault("a.toml:3", "x", "bad"), Fault("a.toml:4", "y", "worse")])
     for error, code, said in (
-        (ControlRefused("a is busy"), 1, "a is busy\n"),
+        (ControlRefusedError("a is busy"), 1, "a is busy\n"),
         (PancakesError("the port is in use"), 1, "the port is in use\n"),
-        (Unreachable("nobody is there"), 3, "nobody is there\n"),
+        (UnreachableError("nobody is there"), 3, "nobody is there\n"),
         (faults, 4, "a.toml:3: x: bad\na.toml:4: y: worse\n"),
         (
             OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), "runs/summary.json"),

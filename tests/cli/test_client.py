@@ -10,7 +10,7 @@ from pancakes.client import Client
 from pancakes.client.session import FleetSession, Session
 from pancakes.client.subscriptions import Subscription, SubscriptionSpec
 from pancakes.control import Describe, Reschedule, Stop
-from pancakes.errors import Unreachable
+from pancakes.errors import UnreachableError
 from pancakes.packet import packet_type
 
 SOIL = """
@@ -88,7 +88,7 @@ def test_client_does_not_wait_for_an_agent_that_dies(
         client.request("a", Describe())
         freeze(agent)  # so that it cannot answer before it dies
         monkeypatch.setattr(FleetSession, "request", request)
-        with pytest.raises(Unreachable, match="a did not answer: the link to it ended before it answered"):
+        with pytest.raises(UnreachableError, match="a did not answer: the link to it ended before it answered"):
             client.request("a", Stop("load"))
 
 
@@ -96,5 +96,5 @@ def test_client_has_a_time_limit_for_each_request(agent: Running, freeze: Callab
     with Client(timeout_s=10.0) as client:
         client.request("a", Describe())
         freeze(agent)
-        with pytest.raises(Unreachable, match=r"a did not answer: nothing came within 0\.2 s"):
+        with pytest.raises(UnreachableError, match=r"a did not answer: nothing came within 0\.2 s"):
             client.request("a", Describe(), timeout_s=0.2)

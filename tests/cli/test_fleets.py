@@ -7,9 +7,9 @@ from contextlib import closing
 import pytest
 from cli.processes import INSECURE, READY, Rig, Running
 
-from pancakes.client import Client, Where
+from pancakes.client import Client, Target
 from pancakes.control import Describe
-from pancakes.errors import ControlRefused, PancakesError, Unreachable
+from pancakes.errors import ControlRefusedError, PancakesError, UnreachableError
 
 LOAD = '[device.load]\ndriver = "host.load"\nrate_hz = 2\n'
 NAMED = """
@@ -104,14 +104,14 @@ def test_client_accepts_short_addresses(shared: tuple[Rig, Running, Running], mo
     rig, _, south = shared
     monkeypatch.setenv("PANCAKES_RUNTIME_DIR", str(rig.runtime))
     place = f"127.0.0.1:{rig.port(south)}"
-    for at in (place, [place], f"tcp://{place}", (f"tcp://{place}", place), Where((place,)), Where(fleet="south")):
+    for at in (place, [place], f"tcp://{place}", (f"tcp://{place}", place), Target((place,)), Target(fleet="south")):
         with Client(at, 10.0) as client:
             assert client.request("a", Describe("load")).result["rate_hz"] == 3.0
-            assert [it["fleet"] for it in client.survey().agents] == ["south"]
-    with Client(timeout_s=10.0) as client, pytest.raises(ControlRefused, match="name one of them with --fleet"):
+            assert [it["fleet"] for it in client.describe().agents] == ["south"]
+    with Client(timeout_s=10.0) as client, pytest.raises(ControlRefusedError, match="name one of them with --fleet"):
         client.request("a", Describe())
-    with Client(Where(fleet="east")) as client, pytest.raises(Unreachable, match="no agent of the fleet east"):
-        client.survey()
+    with Client(Target(fleet="east")) as client, pytest.raises(UnreachableError, match="no agent of the fleet east"):
+        client.describe()
 
 
 def test_client_refuses_malformed_addresses():
@@ -135,8 +135,8 @@ def test_all_agents_can_share_one_list_of_peers(rig: Rig):
     a.hear(READY)
     b = rig.ready("b", agent=peers)
     a.hear("peer=b")
-    with rig.keys.offered(), Client(Where((f"127.0.0.1:{port}",), "test"), 10.0) as client:
-        (found,) = client.survey("a").agents
+    with rig.keys.offered(), Client(Target((f"127.0.0.1:{port}",), "test"), 10.0) as client:
+        (found,) = client.describe("a").agents
 
     assert not [it for it in found["mesh"]["addresses"] if it["static"]]
     assert not [line for agent in (a, b) for line in agent.so_far() if "warning" in line or "error" in line]

@@ -13,7 +13,7 @@ from pancakes.tools.cli.verbs import task as task_verbs
 SOURCE = """
 from dataclasses import dataclass
 from pancakes.devices import Pose
-from pancakes.kernel.handlers import queue
+from pancakes.kernel.handlers import drop_oldest
 from pancakes.task import Task, every, on
 
 class Steer(Task):
@@ -31,7 +31,7 @@ class Steer(Task):
     def look(self, tick):
         pass
 
-    @on("system", Pose, keep=queue(8))
+    @on("system", Pose, queue=8)
     def see(self, packet):
         pass
 

@@ -40,7 +40,7 @@ class Source(Telling):
 class Sink(Telling):
     durability = "each"
 
-    @on("system", Number, keep=reliable(1024))
+    @on("system", Number, queue=reliable(1024))
     def take(self, packet):
         print(packet.body.number, file=self.out)
 """

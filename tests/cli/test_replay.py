@@ -18,7 +18,7 @@ class Answer(Task):
     @on("system", Pose)
     def pose(self, packet):
         who = "its own" if packet.source.startswith(self.agent + "/") else packet.source
-        self.log("info", f"heard {packet.body.x_m:g} of {who}, said at {packet.stamp!r}")
+        self.log("info", f"heard {packet.body.x_m:g} of {who}, said at {packet.stamp_s!r}")
         self.publish("ctrl", Load(packet.body.x_m))
 """
 ENTRY = "[pancakes.tasks]\nreplays.Answer = plugin_replays:Answer\nreplays.Walk = plugin_walk:Walk\n"
@@ -83,7 +83,7 @@ def test_replay_keeps_the_recorded_source(walk):
     }  # fmt: skip
     (done,) = [row for row in rows(walk, "r") if row["type"] == "pose"]
     assert done == {**plan, "done": "fed"}
-    then = {entry.packet.stamp for entry in RecordingReader(walk.directory / "r").entries()}
+    then = {entry.packet.stamp_s for entry in RecordingReader(walk.directory / "r").entries()}
     for number in range(1, 11):
         line = agent.hear(f"heard {number} of its own")
         assert float(ready.split()[0]) <= stamp_in(line) <= float(line.split()[0]) + 0.001  # lines are rounded

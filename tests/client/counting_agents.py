@@ -58,7 +58,7 @@ class Counting(Task):
 class Answering(Task):
     @on("system", Word)
     def heard(self, packet):
-        self.publish("system", Answer(packet.body.text, packet.stamp))
+        self.publish("system", Answer(packet.body.text, packet.stamp_s))
         self.log("info", f"{packet.body.text} was said")
 
 

@@ -14,7 +14,7 @@ from client.twins import PATIENCE_S
 
 from pancakes.client import AsyncClient, ReceivedPacket
 from pancakes.control import Describe
-from pancakes.errors import NothingCame, PancakesError
+from pancakes.errors import NoPacketError, PancakesError
 
 pytestmark = pytest.mark.usefixtures("counting")
 
@@ -110,7 +110,7 @@ def test_a_subscriber_can_be_awaited_and_one_that_has_not_begun_says_so():
             await counts
             assert isinstance((await counts.next()).body, Count)
             quiet = await client.subscribe("b/system", Count, timeout_s=0.1)
-            with pytest.raises(NothingCame):
+            with pytest.raises(NoPacketError):
                 async for _ in quiet:
                     pass
 

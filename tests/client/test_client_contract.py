@@ -13,9 +13,9 @@ from client.counting_agents import Answer, Count, CountingAgents, Word
 from client.twins import PATIENCE_S, TWINS, Connect
 from seeded import for_each
 
-from pancakes.client import AgentRow, AsyncClient, AsyncSubscriber, Client, Subscriber, TaskRow
+from pancakes.client import AgentInfo, AsyncClient, AsyncSubscriber, Client, Subscriber, TaskInfo
 from pancakes.control import Describe, Reschedule, Stop
-from pancakes.errors import LocalProtocolError, NoAnswer, NothingCame, PancakesError, Unreachable
+from pancakes.errors import LocalProtocolError, NoAnswerError, NoPacketError, PancakesError, UnreachableError
 
 pytestmark = pytest.mark.usefixtures("counting")
 
@@ -44,7 +44,7 @@ def test_tasks_are_rows(client: Any):
     rows = {row.address: row for row in client.tasks("a")}
     row = rows["a/client/Counting"]
 
-    assert isinstance(row, TaskRow)
+    assert isinstance(row, TaskInfo)
     assert (row.agent, row.type, row.state, row.rate_hz) == ("a", "client.Counting", "running", 50.0)
     assert {row.agent for row in client.tasks()} == {"a", "b"}
 
@@ -56,7 +56,7 @@ def test_agents_are_rows(client: Any):
         ("a", "test", True, ("b",)),
         ("b", "test", True, ("a",)),
     ]
-    assert all(isinstance(row, AgentRow) for row in rows) and "flood" in rows[0].channels
+    assert all(isinstance(row, AgentInfo) for row in rows) and "flood" in rows[0].channels
 
 
 CALLS: list[Any] = [
@@ -71,7 +71,7 @@ CALLS: list[Any] = [
 
 def test_client_refuses_an_unknown_agent(client: Any):
     def is_refused(call: Any) -> None:
-        with pytest.raises(Unreachable, match="there is no agent 'c'"):
+        with pytest.raises(UnreachableError, match="there is no agent 'c'"):
             call(client)
 
     for_each(CALLS, is_refused)
@@ -108,7 +108,7 @@ def test_packets_of_a_type_are_read_in_their_order(client: Any):
     first = heard[0].body.number
     assert [it.body for it in heard] == [Count(first + n) for n in range(5)]
     assert {(it.agent, it.source, it.type) for it in heard} == {("a", "a/client/Counting", "client.count")}
-    assert heard[0].stamp_s < heard[-1].stamp_s <= heard[-1].packet.stamp
+    assert heard[0].stamp_s < heard[-1].stamp_s <= heard[-1].packet.stamp_s
 
 
 def test_a_type_is_named_by_its_name_as_well_and_a_channel_without_agent_is_that_of_all(client: Any):
@@ -181,7 +181,7 @@ def test_where_nothing_comes_in_time_a_sentence_says_so(client: Any):
     with client.subscribe("b/system", Count, timeout_s=0.2) as counts:
         with pytest.raises(TimeoutError, match=r"nothing came on b/system within 0\.2 s"):
             next(counts)
-        with pytest.raises(NothingCame, match=r"nothing came on b/system within 0\.1 s"):
+        with pytest.raises(NoPacketError, match=r"nothing came on b/system within 0\.1 s"):
             counts.next(0.1)
         assert counts.take(0.1) is None
         assert list(counts.during(0.1)) == []
@@ -203,7 +203,7 @@ def test_an_agent_that_comes_back_is_heard_again(client: Any, counting: Counting
         first.process.terminate()
         first.ended()
         assert client.wait(lambda: counts.away() == ["back"], PATIENCE_S)
-        with pytest.raises(NothingCame, match=r"within 0\.1 s: back is away"):
+        with pytest.raises(NoPacketError, match=r"within 0\.1 s: back is away"):
             while True:
                 counts.next(0.1)
         second = counting.rig.ready("back", tasks)
@@ -359,7 +359,10 @@ def test_a_task_moves_with_its_state_and_the_account_says_so(client: Any):
 
 def test_an_agent_that_does_not_answer_in_time_is_a_sentence(client: Any, counting: CountingAgents):
     client.request("b", Describe())
-    with counting.frozen(counting.b), pytest.raises(NoAnswer, match=r"b did not answer: nothing came within 0\.2 s"):
+    with (
+        counting.frozen(counting.b),
+        pytest.raises(NoAnswerError, match=r"b did not answer: nothing came within 0\.2 s"),
+    ):
         client.request("b", Describe(), timeout_s=0.2)
     assert client.request("b", Describe()).ok
 
@@ -377,7 +380,7 @@ def test_what_cannot_travel_is_not_asked_and_that_is_no_missing_answer(client: A
 
 
 def test_one_name_of_an_agent_is_one_agent(client: Any):
-    with pytest.raises(Unreachable, match="there is no agent 'ab'"):
+    with pytest.raises(UnreachableError, match="there is no agent 'ab'"):
         client.subscribe("system", agents="ab").next(0.1)
 
 
@@ -416,7 +419,7 @@ def test_client_refuses_bad_arguments(connect: Connect, arguments: dict[str, Any
 
 
 def test_client_refuses_an_address_without_agent(connect: Connect):
-    with connect("127.0.0.1:1", timeout_s=2.0) as client, pytest.raises(Unreachable, match="127.0.0.1:1"):
+    with connect("127.0.0.1:1", timeout_s=2.0) as client, pytest.raises(UnreachableError, match="127.0.0.1:1"):
         client.tasks()
 
 

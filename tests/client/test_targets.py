@@ -5,19 +5,19 @@ from __future__ import annotations
 import pytest
 
 from pancakes.client.client import channel_of, destination_on, task_of
-from pancakes.client.rows import TaskRow
+from pancakes.client.rows import TaskInfo
 from pancakes.client.session import merged
 from pancakes.control import Follow
 from pancakes.errors import PancakesError
 
-ROW = TaskRow(agent="a", service="client", task="Count", type="count.Count", state="running")
+ROW = TaskInfo(agent="a", service="client", task="Count", type="count.Count", state="running")
 
 
 @pytest.mark.parametrize(
     ("task", "meant"),
     [("a/Count", ("a", "Count")), ("a/client/Count", ("a", "client/Count")), (ROW, ("a", "client/Count"))],
 )
-def test_a_task_is_named_by_agent_service_and_name_or_by_its_row(task: str | TaskRow, meant: tuple[str, str]):
+def test_a_task_is_named_by_agent_service_and_name_or_by_its_row(task: str | TaskInfo, meant: tuple[str, str]):
     assert task_of(task) == meant
 
 
@@ -58,7 +58,7 @@ def test_what_is_no_destination_on_the_agent_is_refused(to: str):
         ([Follow("c", ("x",))], Follow("c", ("x",))),
         ([Follow("c", ("x",)), Follow("c", ("y", "x"))], Follow("c", ("x", "y"))),
         ([Follow("c", ("x",)), Follow("c")], Follow("c")),
-        ([Follow("c", foreign=True), Follow("c")], Follow("c", foreign=True)),
+        ([Follow("c", include_remote=True), Follow("c")], Follow("c", include_remote=True)),
         ([Follow("c", most_hz=2.0), Follow("c", most_hz=5.0)], Follow("c", most_hz=5.0)),
         ([Follow("c", most_hz=2.0), Follow("c")], Follow("c")),
     ],

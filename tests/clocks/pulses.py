@@ -7,7 +7,7 @@ from typing import Any
 
 from pancakes.kernel.actor import core_of
 from pancakes.packet import Packet, packet_type
-from pancakes.task import Task, Tick, every, on, queue
+from pancakes.task import Task, Tick, every, on
 
 
 @packet_type("test.pulse")
@@ -43,6 +43,6 @@ class PulseReader(Task):
     def on_start(self) -> None:
         self.heard: list[Any] = []
 
-    @on("network", PulseTold, keep=queue(256))
+    @on("network", PulseTold, queue=256)
     def on_pulse(self, packet: Packet) -> None:
         self.heard.append((self.now(), true_s(self), packet, self.local_time(packet), packet.age_s))

@@ -27,7 +27,7 @@ def check_stamp(case):
         began_s = b.kernel.mission.host_time(0.0) / 0.9999
         fleet.connect()
         fleet.run_for(60.0)
-        heard = [it for it in b.task("Reader").heard if it[2].stamp > 0]
+        heard = [it for it in b.task("Reader").heard if it[2].stamp_s > 0]
         assert len(heard) > 500 * speed
         half_s = (b.agent.mesh.rtt_s("a") or 0.0) / 2
         for now_s, true_s, packet, local, age_s in heard:
@@ -54,7 +54,7 @@ def test_a_packet_of_ones_own_agent_has_its_stamp():
         a.probe.publish("network", PulseTold(3.0))
         fleet.run_for(0.5)
         ((_, _, packet, local, age_s),) = a.task("Reader").heard
-        assert (local.time_s, local.bound_s, age_s) == (packet.stamp, 0.0, 0.0)
+        assert (local.time_s, local.bound_s, age_s) == (packet.stamp_s, 0.0, 0.0)
 
 
 def of(agent, stamp):

@@ -21,7 +21,7 @@ import json
 from dataclasses import dataclass
 
 from pancakes.packet import packet_type
-from pancakes.task import Task, every, on, queue
+from pancakes.task import Task, every, on
 
 
 @packet_type("clocks.pulse")
@@ -40,13 +40,13 @@ class PulseHeard(Task):
     def on_start(self):
         self.rows = []
 
-    @on("network", ClockPulse, keep=queue(256))
+    @on("network", ClockPulse, queue=256)
     def on_pulse(self, packet):
         local = self.local_time(packet)
         if local is None:
             return
         link = next(row for row in self._actor.kernel.links() if row["name"] == packet.source.partition("/")[0])
-        self.rows.append([packet.body.zero_s + packet.stamp, self._actor.kernel.mission.host_time(0.0), local.time_s,
+        self.rows.append([packet.body.zero_s + packet.stamp_s, self._actor.kernel.mission.host_time(0.0), local.time_s,
                           local.bound_s, packet.age_s, link["rtt_s"]])
         if len(self.rows) == ENOUGH:
             with open("heard.json", "w") as file:

@@ -28,16 +28,16 @@ class Compass(Sensor):
     class Settings:
         offset_rad: float = 0.0
 
-    def sample(self) -> Pose:
+    def read(self) -> Pose:
         return Pose(0.0, 0.0, self.settings.offset_rad)
 
 
 class Wheels(Actuator):
     type = "motors"
 
-    def apply(self, command: Any, ttl_s: float, source: str) -> None: ...
+    def write(self, command: Any, ttl_s: float, source: str) -> None: ...
 
-    def hold(self) -> None: ...
+    def safe_stop(self) -> None: ...
 
 
 class Beacon(Sensor):
@@ -48,13 +48,13 @@ class Beacon(Sensor):
     class Settings:
         max_hz: float | None = None
 
-    def sample(self) -> None: ...
+    def read(self) -> None: ...
 
 
 class Gauge(Sensor):
     type = "gauge"
 
-    def sample(self) -> None: ...
+    def read(self) -> None: ...
 
 
 class Pump(Wheels):
@@ -66,7 +66,7 @@ class Pump(Wheels):
 class Untyped(Sensor):
     rate = "optional"
 
-    def sample(self) -> None: ...
+    def read(self) -> None: ...
 
 
 class Circle(Task):

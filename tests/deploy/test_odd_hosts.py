@@ -12,7 +12,7 @@ import pytest
 from cli.processes import INSECURE, PATIENCE_S, Rig
 from deploy.ssh_hosts import BARE, INSTALLED, SshHosts, free_port, with_sshd
 
-from pancakes.errors import Unreachable
+from pancakes.errors import UnreachableError
 from pancakes.tools.launch.ssh import HostLink
 
 pytestmark = with_sshd
@@ -69,7 +69,9 @@ def fleet(rig: Rig, names: list[str]) -> Path:
 def test_silent_host_is_reported(hosts: SshHosts):
     bashrc(hosts, "echo 'waiting for the home directory' >&2; sleep 600")
     link = HostLink("robot1")
-    with pytest.raises(Unreachable, match=r"robot1 does not answer within 5 s \(waiting for the home directory\): see"):
+    with pytest.raises(
+        UnreachableError, match=r"robot1 does not answer within 5 s \(waiting for the home directory\): see"
+    ):
         link.obtain("look", 5.0, fleet_of={})
     assert link.lost
 
@@ -81,7 +83,7 @@ def test_host_that_falls_silent_is_reported(hosts: SshHosts, monkeypatch: pytest
     python = link.obtain("look", 20.0, fleet_of={})["executable"]
     (there,) = [it for it in psutil.process_iter() if it.name().startswith("python") and link_of(it, hosts, python)]
     there.suspend()
-    with pytest.raises(Unreachable, match="robot1 does not answer within 0.5 s"):
+    with pytest.raises(UnreachableError, match="robot1 does not answer within 0.5 s"):
         link.obtain("look", fleet_of={})
     there.kill()
 
@@ -91,7 +93,7 @@ def test_port_without_an_ssh_server_is_reported(hosts: SshHosts, monkeypatch: py
         hosts.add("robot1", BARE).port = mute.getsockname()[1]
         hosts.write_config()
         monkeypatch.setenv("PANCAKES_SSH", f"{hosts.ssh} -o ConnectTimeout=1")
-        with pytest.raises(Unreachable, match="robot1 does not answer .*banner"):
+        with pytest.raises(UnreachableError, match="robot1 does not answer .*banner"):
             HostLink("robot1").obtain("look", 20.0, fleet_of={})
 
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from msgspec.structs import replace
 
-from pancakes.client import TaskRow
+from pancakes.client import TaskInfo
 from pancakes.tools.deploy.drain import Steadiness
 
 
-def row(state: str = "running", incarnation: int = 1, task: str = "T", reason: str = "", rest: str = "") -> TaskRow:
-    who = TaskRow(agent="a", service="client", task=task, type="x", state=state)
+def row(state: str = "running", incarnation: int = 1, task: str = "T", reason: str = "", rest: str = "") -> TaskInfo:
+    who = TaskInfo(agent="a", service="client", task=task, type="x", state=state)
     return replace(who, reason=reason, rest=rest, incarnation=incarnation)
 
 

@@ -18,7 +18,7 @@ def opened(cls, **settings):
 
 
 def test_load_is_a_share():
-    reading = opened(builtin_drivers.HostProcessorLoad).sample()
+    reading = opened(builtin_drivers.HostProcessorLoad).read()
     assert 0.0 <= reading.cpu <= 1.0
 
 
@@ -32,11 +32,11 @@ class SimpleTimes(NamedTuple):
 def test_load_is_what_the_system_says(monkeypatch):
     readings = iter([SimpleTimes(10.0, 90.0), SimpleTimes(13.0, 95.0)])
     monkeypatch.setattr(psutil, "cpu_times", lambda: next(readings))
-    assert opened(builtin_drivers.HostProcessorLoad).sample().cpu == 0.375
+    assert opened(builtin_drivers.HostProcessorLoad).read().cpu == 0.375
 
 
 def test_memory_in_use_is_part_of_all_memory():
-    reading = opened(builtin_drivers.HostMemory).sample()
+    reading = opened(builtin_drivers.HostMemory).read()
     assert 0 < reading.used_bytes < reading.total_bytes == psutil.virtual_memory().total
 
 
@@ -47,8 +47,8 @@ def temperatures(monkeypatch, chips):
 
 def test_the_hottest_sensor_counts(monkeypatch):
     temperatures(monkeypatch, {"coretemp": [41.0, 55.0], "nvme": [38.0]})
-    assert opened(builtin_drivers.HostTemperature).sample().celsius == 55.0
-    assert opened(builtin_drivers.HostTemperature, chip="nvme").sample().celsius == 38.0
+    assert opened(builtin_drivers.HostTemperature).read().celsius == 55.0
+    assert opened(builtin_drivers.HostTemperature, chip="nvme").read().celsius == 38.0
 
 
 def test_a_computer_without_a_temperature_says_so(monkeypatch):
@@ -71,14 +71,14 @@ def test_a_battery_has_its_level_and_the_voltage_that_linux_tells(monkeypatch, t
     monkeypatch.setattr(builtin_drivers, "POWER_SUPPLIES", tmp_path)
     (tmp_path / "BAT0").mkdir()
     (tmp_path / "BAT0" / "voltage_now").write_text("11850000\n")
-    reading = opened(builtin_drivers.HostBattery).sample()
+    reading = opened(builtin_drivers.HostBattery).read()
     assert (reading.level, reading.voltage_v) == (pytest.approx(0.82), pytest.approx(11.85))
 
 
 def test_a_battery_whose_voltage_nobody_tells_has_none(monkeypatch, tmp_path):
     monkeypatch.setattr(psutil, "sensors_battery", lambda: SimpleNamespace(percent=82.0), raising=False)
     monkeypatch.setattr(builtin_drivers, "POWER_SUPPLIES", tmp_path)
-    assert math.isnan(opened(builtin_drivers.HostBattery).sample().voltage_v)
+    assert math.isnan(opened(builtin_drivers.HostBattery).read().voltage_v)
 
 
 def test_a_computer_without_a_battery_says_so(monkeypatch):

@@ -26,7 +26,7 @@ def test_a_reading_that_comes_is_published_as_its_own():
     driver, context = pose_device()
     driver.receive(packet(Pose(1.0, 2.0, 0.5)))
     assert context.readings == [Pose(1.0, 2.0, 0.5)]
-    assert driver.sample() is None
+    assert driver.read() is None
 
 
 def test_no_more_than_max_hz_are_published():
@@ -72,8 +72,8 @@ def test_virtual_motors_pass_commands_and_hold_on():
     context = DriverContext()
     motors = NetworkMotors(context, make_settings(NetworkMotors.Settings, {"target": "agent2/device/motors"}))
     motors.open()
-    motors.apply(Twist(0.1, 0.2), 0.5, "agent1/client/ScanTarget")
-    motors.hold()
+    motors.write(Twist(0.1, 0.2), 0.5, "agent1/client/ScanTarget")
+    motors.safe_stop()
     (first, second) = context.sent
     assert first == ("ctrl", Twist(0.1, 0.2), "agent2/device/motors")
     assert (second[0], type(second[1]), second[2]) == ("ctrl", Hold, "agent2/device/motors")

@@ -25,15 +25,15 @@ def test_a_null_sensor_has_its_type_and_never_a_reading(cls, device_type):
     sensor = cls(DriverContext(), cls.Settings())
     sensor.open()
     assert cls.type == device_type
-    assert sensor.sample() is None
+    assert sensor.read() is None
     sensor.close()
 
 
 def test_null_motors_take_every_command():
     motors = builtin_drivers.NullMotors(DriverContext(), builtin_drivers.NullMotors.Settings())
     motors.open()
-    motors.apply(Twist(0.1, 0.0), 0.5, "agent1/client/ScanTarget")
-    motors.hold()
+    motors.write(Twist(0.1, 0.0), 0.5, "agent1/client/ScanTarget")
+    motors.safe_stop()
     motors.close()
     assert motors.type == "motors"
 
@@ -43,12 +43,12 @@ def test_a_null_device_of_ones_own_type_is_a_class_of_two_lines():
         type = "gas"
 
     gas: Sensor = NullGas(DriverContext(), NullGas.Settings())
-    assert gas.sample() is None
+    assert gas.read() is None
 
 
 def test_a_static_pose_is_where_it_was_said_to_be():
     settings = make_settings(StaticPose.Settings, {"x_m": 1.0, "y_m": -2.0, "theta_rad": 3 * math.pi})
-    assert StaticPose(DriverContext(), settings).sample() == Pose(1.0, -2.0, pytest.approx(math.pi))
+    assert StaticPose(DriverContext(), settings).read() == Pose(1.0, -2.0, pytest.approx(math.pi))
 
 
 def test_a_static_pose_must_be_said():

@@ -24,7 +24,7 @@ class Gauge(Sensor):
     type = "battery"
     level = 1.0
 
-    def sample(self) -> Battery:
+    def read(self) -> Battery:
         return Battery(8.0, Gauge.level)
 
 
@@ -34,7 +34,7 @@ class Eye(Sensor):
     type = "motion"
     seen = False
 
-    def sample(self) -> Motion:
+    def read(self) -> Motion:
         return Motion(Eye.seen)
 
 
@@ -75,7 +75,7 @@ def standing(agent: AgentHandle) -> tuple[float, float, float]:
     """Where the three knobs really stand."""
     motion, beacons = agent.component("device/motion"), agent.component("network/Discovery")
     return (
-        round(motion.timers["sample"].rate_hz, 6),
+        round(motion.timers["read"].rate_hz, 6),
         round(beacons.timers["announce"].rate_hz, 6),
         agent.task("Wheels").settings.speed_mps,
     )
@@ -200,9 +200,7 @@ def test_an_agent_that_ends_has_nothing_to_give_back():
         assert orders(agent) == given
         agent = fleet.restart("a")
         fleet.run_for(5.0)
-        assert agent.component("device/motion").timers["sample"].rate_hz == pytest.approx(1.0), (
-            "it goes on where it was"
-        )
+        assert agent.component("device/motion").timers["read"].rate_hz == pytest.approx(1.0), "it goes on where it was"
         assert agent.task("Wheels").settings.speed_mps == 0.04
 
 
@@ -277,7 +275,7 @@ def test_feedback_gives_way_to_a_busy_processor():
     class Busy(Sensor):
         type = "load"
 
-        def sample(self) -> Load:
+        def read(self) -> Load:
             return Load(0.95)
 
     with Fleet() as fleet:
@@ -314,7 +312,7 @@ def supervised(fleet: Fleet, **changes: Any) -> AgentHandle:
 
 
 def rates(agent: AgentHandle) -> tuple[float, float]:
-    battery = agent.component("device/battery").timers["sample"].rate_hz
+    battery = agent.component("device/battery").timers["read"].rate_hz
     return round(battery, 6), round(agent.component("client/Wheels").timers["drive"].rate_hz, 6)
 
 
@@ -334,15 +332,15 @@ def test_the_supervisor_slows_sensors_down_while_it_is_quiet_and_is_fast_at_once
 
 
 def test_packets_of_neighbours_count_only_where_the_rule_says_so():
-    for foreign in (False, True):
+    for include_remote in (False, True):
         with Fleet() as fleet:
-            agent = supervised(fleet, foreign=foreign)
+            agent = supervised(fleet, include_remote=include_remote)
             other = fleet.start("b")
             fleet.connect()
             for _ in range(20):
                 other.publish(SYSTEM, Motion(True), to="a")
                 fleet.run_for(1.0)
-            assert rates(agent) == ((1.0, 10.0) if foreign else (0.2, 1.0))
+            assert rates(agent) == ((1.0, 10.0) if include_remote else (0.2, 1.0))
 
 
 def test_a_supervisor_that_is_stopped_lets_all_be_fast():

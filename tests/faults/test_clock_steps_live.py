@@ -9,7 +9,7 @@ from typing import Any
 
 from torture.live import LiveFleet
 
-from pancakes.client import Client, Where
+from pancakes.client import Client, Target
 from pancakes.control import Guarding
 from pancakes.errors import PancakesError
 
@@ -38,7 +38,7 @@ def test_clock_step_pauses_a_guarded_task_until_guardians_answer(tmp_path: Path)
     try:
         for name in NAMES:
             fleet.start(name, wait=True)
-        with Client(Where((listen["a"],), "torture"), PATIENCE_S) as client:
+        with Client(Target((listen["a"],), "torture"), PATIENCE_S) as client:
 
             def row() -> dict[str, Any]:
                 try:

@@ -11,7 +11,7 @@ from pancakes.config import parse
 from pancakes.control import Follow, Migrate, Reschedule, Restart, Start, Stop, Unfollow
 from pancakes.durable import census
 from pancakes.durable.store import KEPT as LEDGERS
-from pancakes.errors import MailboxFull
+from pancakes.errors import MailboxFullError
 from pancakes.kernel import dead_letters, stream
 from pancakes.packet import NEIGHBOURS, SYSCTRL, SYSTEM, Packet, join, packet_type, type_name
 from pancakes.simulation.fleet import Fleet
@@ -51,10 +51,10 @@ class Talker(Task):
     def tell(self, count: int) -> None:
         try:
             self.publish(SYSTEM, Word(count), to="task:a/Home")
-        except MailboxFull:
+        except MailboxFullError:
             pass
 
-    @on(SYSTEM, Word, keep=reliable(64))
+    @on(SYSTEM, Word, queue=reliable(64))
     def hear(self, packet: Packet) -> None:
         self.state.heard += 1
         if packet.body.count < 0 and self.state.heard % 5 == 0:

@@ -181,7 +181,7 @@ class InventedSensor(Sensor):
 
     class Settings(Said): ...
 
-    def sample(self) -> Any:
+    def read(self) -> Any:
         return None
 
 
@@ -190,9 +190,9 @@ class InventedActuator(Actuator):
 
     class Settings(Said): ...
 
-    def apply(self, command: Any, ttl_s: float, source: str) -> None: ...
+    def write(self, command: Any, ttl_s: float, source: str) -> None: ...
 
-    def hold(self) -> None: ...
+    def safe_stop(self) -> None: ...
 
 
 INVENTED: dict[str, type] = {

@@ -7,7 +7,7 @@ from msgspec.structs import replace
 
 from pancakes.durable.commands import task_meant
 from pancakes.durable.record import Epoch, Phase, Record, TaskId, Wanted
-from pancakes.errors import ControlRefused
+from pancakes.errors import ControlRefusedError
 
 SCAN, OTHER = TaskId("a", "Scan"), TaskId("z", "Scan")
 MINE = Epoch(3, "a")
@@ -17,7 +17,7 @@ COMING = Record(OTHER, Phase.PREPARED, seen=MINE, offer=Epoch(4, "c"), peer="c")
 
 
 def refusal(*records: Record, birthplace: str = "", verb: str = "adopt") -> str:
-    with pytest.raises(ControlRefused) as refused:
+    with pytest.raises(ControlRefusedError) as refused:
         task_meant("a/client", "Scan", birthplace, records, (), verb)
     return str(refused.value)
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from pancakes.journal import FileJournal, JournalEntry, JournalError, JournalLost
+from pancakes.journal import FileJournal, JournalEntry, JournalError, JournalLostError
 
 SCAN = JournalEntry("task", "agent1/ScanTarget", b"x")
 
@@ -170,7 +170,7 @@ def test_a_symbolic_link_is_followed_and_told(tmp_path: Path) -> None:
     journal.write([SCAN])
     journal.check()
     link.unlink()
-    with pytest.raises(JournalLost, match=f"{link} was removed or replaced"):
+    with pytest.raises(JournalLostError, match=f"{link} was removed or replaced"):
         journal.check()
 
 
@@ -181,7 +181,7 @@ def test_nothing_is_written_into_a_directory_that_has_taken_the_place_of_the_one
     (tmp_path / "state").rename(tmp_path / "old")
     second = FileJournal(tmp_path / "state", "second")
 
-    with pytest.raises(JournalLost, match="was removed or replaced while the agent ran"):
+    with pytest.raises(JournalLostError, match="was removed or replaced while the agent ran"):
         first.write([SCAN])
 
     assert not list((tmp_path / "state").glob("task.*"))
@@ -192,7 +192,7 @@ def test_nothing_is_written_into_a_directory_that_has_taken_the_place_of_the_one
 def test_a_lock_that_was_removed_is_noticed(tmp_path: Path) -> None:
     journal = FileJournal(tmp_path)
     (tmp_path / "lock").unlink()
-    with pytest.raises(JournalLost, match="was removed while the agent ran"):
+    with pytest.raises(JournalLostError, match="was removed while the agent ran"):
         journal.check()
 
 

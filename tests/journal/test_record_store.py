@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 
 import pytest
 
-from pancakes.journal import JournalEntry, JournalError, JournalLost, MemoryJournal, ThreadedStore, VirtualStore
+from pancakes.journal import JournalEntry, JournalError, JournalLostError, MemoryJournal, ThreadedStore, VirtualStore
 
 
 class SlowJournal(MemoryJournal):
@@ -262,7 +262,7 @@ def test_a_journal_that_is_not_the_one_any_more_ends_the_store_within_a_second_a
         check_s = 0.01
 
         def check(self) -> None:
-            raise JournalLost("the state directory was replaced")
+            raise JournalLostError("the state directory was replaced")
 
     told: list[str] = []
     lost = threading.Event()

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from pancakes.devices import Pose, Twist
-from pancakes.errors import MailboxFull
+from pancakes.errors import MailboxFullError
 from pancakes.packet import Packet, packet_type, task_address
 from pancakes.task import Task, Tick, every, on
 
@@ -89,7 +89,7 @@ class Sender(Task):
             return
         try:
             self.publish("system", Numbered(self.state.n + 1), to=RECEIVER)
-        except MailboxFull:
+        except MailboxFullError:
             return
         self.state.n += 1
 

@@ -93,8 +93,8 @@ def test_async_sleep_takes_virtual_time(virtual_agent):
     agent = virtual_agent(tasks={"Fetch": Fetch})
     before_s = agent.kernel.now()
     ask(agent, 1, wait_s=30.0)
-    answer = agent.wait_for(Answer, at_most_s=60.0)
-    assert answer.stamp - before_s == pytest.approx(30.0, abs=0.1)
+    answer = agent.wait_for(Answer, timeout_s=60.0)
+    assert answer.stamp_s - before_s == pytest.approx(30.0, abs=0.1)
 
 
 class Poll(Task):
@@ -278,7 +278,7 @@ def test_coroutine_that_does_not_end_is_named(threaded_agent):
     ask(agent, 1)
     agent.wait_for_event("begun")
     assert agent.ask(Stop("client/Stubborn")).ok
-    agent.wait_for_event("refused", at_most_s=10 * CANCEL_S)
+    agent.wait_for_event("refused", timeout_s=10 * CANCEL_S)
     agent.wait_until(lambda: any("does not end when it is cancelled" in line for line in agent.lines("warning")))
 
 

@@ -5,7 +5,7 @@ import math
 import pytest
 from kernel.virtual_rig import Diary, Number, VirtualRig, Word
 
-from pancakes.errors import LocalProtocolError, MailboxFull, UnknownChannel
+from pancakes.errors import LocalProtocolError, MailboxFullError, UnknownChannelError
 from pancakes.events import Event, LogLine
 from pancakes.kernel.actor import ActorCore
 from pancakes.kernel.handlers import every, on, reliable
@@ -108,7 +108,7 @@ def test_a_packet_tells_where_it_comes_from_and_what_led_to_it(virtual):
     virtual.settle()
     heard = assert_published(virtual.probe, Word, source="a/client/Echo")
     assert heard.cause == (sent.source, sent.seq)
-    assert (heard.stamp, heard.seq, heard.destination) == (2.5, 1, "")
+    assert (heard.stamp_s, heard.seq, heard.destination) == (2.5, 1, "")
     assert sent.cause is None
 
 
@@ -129,19 +129,21 @@ def test_the_numbers_of_a_source_go_on_with_its_successor(virtual):
 def test_what_is_no_packet_type_or_no_channel_is_refused_with_a_sentence(virtual):
     with pytest.raises(LocalProtocolError, match="builtins.dict is no packet type"):
         virtual.source.publish("system", {})
-    with pytest.raises(UnknownChannel, match="published 'virtual_rig.number' to 'maps', but a has no such channel"):
+    with pytest.raises(
+        UnknownChannelError, match="published 'virtual_rig.number' to 'maps', but a has no such channel"
+    ):
         virtual.source.publish("maps", Number(1))
 
 
 def test_a_slow_reader_that_may_lose_nothing_makes_the_publisher_wait(virtual):
     class Careful(Diary):
-        @on("system", Number, keep=reliable(2))
+        @on("system", Number, queue=reliable(2))
         def number(self, packet):
             super().number(packet)
 
     careful = virtual.spawn(Careful, "a/client/Careful")
     virtual.send(Number(1), Number(2))
-    with pytest.raises(MailboxFull, match="a/client/Careful has no room for 'virtual_rig.number'"):
+    with pytest.raises(MailboxFullError, match="a/client/Careful has no room for 'virtual_rig.number'"):
         virtual.send(Number(3))
     virtual.settle()
     virtual.send(Number(3))
@@ -210,7 +212,7 @@ def test_a_channel_that_a_task_makes_may_be_listened_to_at_once(virtual):
     virtual.settle()
     assert mapper.diary == [4]
     mapper.close_channel("map")
-    with pytest.raises(UnknownChannel):
+    with pytest.raises(UnknownChannelError):
         virtual.send(Number(5), channel="map")
 
 
@@ -246,7 +248,7 @@ def test_a_turn_ends_when_its_time_is_up_however_long_each_packet_takes(takes_s,
 class Greedy(ActorCore):
     """Wants every line of `log`, and has room for one."""
 
-    @on("log", None, keep=reliable(1))
+    @on("log", None, queue=reliable(1))
     def heard(self, packet):
         pass
 

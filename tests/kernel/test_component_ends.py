@@ -6,7 +6,7 @@ from kernel.virtual_rig import Diary, Number, Word
 from pancakes.kernel.actor import ActorCore
 from pancakes.kernel.dead_letters import ATTEMPTS
 from pancakes.kernel.dispatchers import defer
-from pancakes.kernel.handlers import on, queue, reliable
+from pancakes.kernel.handlers import on, reliable
 from pancakes.kernel.mailbox import Call, Mailbox
 
 
@@ -158,13 +158,13 @@ class Picky(Diary):
 
     tries: list
 
-    @on("system", Number, keep=reliable(9))
+    @on("system", Number, queue=reliable(9))
     def number(self, packet):
         self.tries.append(packet.body.n)
         if packet.body.n == 13:
             raise ValueError("unlucky")
 
-    @on("system", Word, keep=queue(9))
+    @on("system", Word, queue=9)
     def word(self, packet):
         self.tries.append(packet.body.text)
         if packet.body.text == "bad":

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import pytest
 
-from pancakes.errors import LocalProtocolError, MailboxFull, UnknownChannel
+from pancakes.errors import LocalProtocolError, MailboxFullError, UnknownChannelError
 from pancakes.kernel.actor import ActorCore
 from pancakes.kernel.kernel import Kernel
 from pancakes.kernel.virtual_time import VirtualDispatcher
@@ -85,7 +85,7 @@ def test_a_tap_sees_what_leaves_from_then_on_until_it_is_removed(rig):
     assert rig.taken == [0, 1, 2, 3]
 
 
-@pytest.mark.parametrize("error", [MailboxFull("it is slow"), LocalProtocolError("too large")])
+@pytest.mark.parametrize("error", [MailboxFullError("it is slow"), LocalProtocolError("too large")])
 def test_a_publisher_that_may_not_send_is_told_so_and_no_tap_sees_the_packet(rig, error):
     seen: list[Packet] = []
     rig.stream.tap_outgoing(seen.append)
@@ -101,7 +101,7 @@ def test_on_a_channel_that_was_closed_nothing_leaves(rig):
     rig.stream.open("map")
     rig.publish(0, "map")
     rig.stream.close("map")
-    with pytest.raises(UnknownChannel, match="no such channel"):
+    with pytest.raises(UnknownChannelError, match="no such channel"):
         rig.publish(1, "map")
     rig.stream.open("map")
     rig.publish(2, "map")

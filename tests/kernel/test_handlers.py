@@ -8,8 +8,8 @@ from pancakes.devices import Battery, Pose
 from pancakes.errors import ClassError, LocalProtocolError
 from pancakes.kernel.handlers import (
     LATEST,
-    Keep,
     Period,
+    QueuePolicy,
     Subscription,
     every,
     on,
@@ -32,7 +32,7 @@ class Base:
     def tick(self, tick):
         """Time-driven."""
 
-    @on("system", Battery, keep="latest")
+    @on("system", Battery, queue="latest")
     def second(self, packet):
         """Listens to one thing."""
 
@@ -41,7 +41,7 @@ class Derived(Base):
     def first(self, packet):
         """Not marked: a subclass says anew what an overridden method listens to."""
 
-    @on("ctrl", "motors", keep=reliable(7), addressed=True)
+    @on("ctrl", "motors", queue=reliable(7), addressed=True)
     @on("log")
     def third(self, packet):
         """Listens to two."""
@@ -54,8 +54,8 @@ class Derived(Base):
 def test_the_methods_of_a_class_say_what_they_listen_to_in_the_order_of_the_text():
     assert subscriptions_of(Derived) == [
         (Subscription("system", "battery", LATEST), "second"),
-        (Subscription("log", None, Keep(256)), "third"),
-        (Subscription("ctrl", "motors", Keep(7, reliable=True), addressed=True), "third"),
+        (Subscription("log", None, QueuePolicy(256)), "third"),
+        (Subscription("ctrl", "motors", QueuePolicy(7, reliable=True), addressed=True), "third"),
     ]
 
 

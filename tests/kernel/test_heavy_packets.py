@@ -11,8 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from kernel.actors import bounded, drained, put, put_back, take
 
-from pancakes.errors import MailboxFull
-from pancakes.kernel.handlers import MOST_BYTES, Keep, Subscription, queue, reliable
+from pancakes.errors import MailboxFullError
+from pancakes.kernel.handlers import MOST_BYTES, QueuePolicy, Subscription, drop_oldest, reliable
 from pancakes.kernel.mailbox import ChannelQueue, Mailbox
 from pancakes.kernel.stream import InformationStream
 from pancakes.packet import Packet, packet_type
@@ -41,7 +41,7 @@ def blob(number: int, size: int = 0, kind: str = "heavy.blob") -> Packet:
     return Packet("system", kind, "a/client/T", "", 0.0, number, Blob(number, bytes(size)))
 
 
-def stream_with(keep: Keep, *types: str) -> tuple[InformationStream, ChannelQueue]:
+def stream_with(keep: QueuePolicy, *types: str) -> tuple[InformationStream, ChannelQueue]:
     stream, mailbox = InformationStream("a"), opened()
     for name in types or ("heavy.blob",):
         stream.subscribe("a/client/R", mailbox, Subscription("system", name, keep))
@@ -53,7 +53,7 @@ BOTH = pytest.mark.parametrize("types", [("heavy.blob",), ("heavy.blob", "pose")
 
 @BOTH
 def test_the_oldest_fall_out_where_those_that_wait_are_too_large(types: tuple[str, ...]):
-    stream, waiting = stream_with(queue(256), *types)
+    stream, waiting = stream_with(drop_oldest(256), *types)
     for number in range(20):
         stream.publish(blob(number, MOST_BYTES // 4))
     assert drained(waiting) == [16, 17, 18, 19]
@@ -62,7 +62,7 @@ def test_the_oldest_fall_out_where_those_that_wait_are_too_large(types: tuple[st
 
 
 def test_16_mib_wait_under_a_subscription():
-    _, waiting = stream_with(queue(256))
+    _, waiting = stream_with(drop_oldest(256))
     for number in range(17):
         put(waiting, blob(number, 2**20), 2**20)
     assert [taken.seq for taken in waiting.drain()] == list(range(1, 17))
@@ -72,7 +72,7 @@ def test_16_mib_wait_under_a_subscription():
 def test_one_packet_may_always_wait_however_large(types: tuple[str, ...]):
     stream, waiting = stream_with(reliable(256), *types)
     stream.publish(blob(1, MOST_BYTES + 1))
-    with pytest.raises(MailboxFull, match=r"1 \(\d+ bytes\) wait already"):
+    with pytest.raises(MailboxFullError, match=r"1 \(\d+ bytes\) wait already"):
         stream.publish(blob(2, 3000))
     assert drained(waiting) == [1]
     stream.publish(blob(3, MOST_BYTES + 1))
@@ -86,7 +86,7 @@ def test_a_reliable_reader_has_room_again_once_it_has_read(types: tuple[str, ...
     for number in range(40):
         try:
             stream.publish(blob(number, MOST_BYTES // 4))
-        except MailboxFull:
+        except MailboxFullError:
             take(waiting)
         else:
             accepted.append(number)
@@ -97,7 +97,7 @@ def test_a_reliable_reader_has_room_again_once_it_has_read(types: tuple[str, ...
 
 @BOTH
 def test_small_bodies_are_bounded_by_their_number_alone(types: tuple[str, ...]):
-    stream, waiting = stream_with(queue(256), *types)
+    stream, waiting = stream_with(drop_oldest(256), *types)
     for number in range(300):
         stream.publish(blob(number, 64))
     assert drained(waiting) == list(range(44, 300))
@@ -107,10 +107,10 @@ def test_small_bodies_are_bounded_by_their_number_alone(types: tuple[str, ...]):
 def test_a_packet_from_another_agent_reaches_readers_with_room_and_each_loss_is_counted():
     stream, full = stream_with(reliable(1))
     other = opened()
-    stream.subscribe("a/client/Other", other, Subscription("system", "heavy.blob", queue(9)))
+    stream.subscribe("a/client/Other", other, Subscription("system", "heavy.blob", drop_oldest(9)))
     stream.inject(blob(1, 3000))
     for number in (2, 3):
-        with pytest.raises(MailboxFull):
+        with pytest.raises(MailboxFullError):
             stream.inject(blob(number, 3000 * (number % 2)))
     assert drained(other.queues["system"]) == [1, 2, 3]
     assert drained(full) == [1]
@@ -125,7 +125,7 @@ UNIT = MOST_BYTES // 100
 @given(st.integers(1, 6), st.lists(st.one_of(st.just("take"), st.integers(0, 60)), max_size=60))
 def test_no_more_falls_out_than_must(limit, steps):
     """Packets weigh up to 60 units, and 100 may wait."""
-    waiting = bounded(opened(), "system", {"heavy.blob": queue(limit)})
+    waiting = bounded(opened(), "system", {"heavy.blob": drop_oldest(limit)})
     model: deque[tuple[int, int]] = deque()
     lost = 0
     for number, step in enumerate(steps):
@@ -145,7 +145,7 @@ def test_no_more_falls_out_than_must(limit, steps):
 
 
 def test_many_threads_at_once_leave_the_scales_right():
-    stream, waiting = stream_with(queue(64))
+    stream, waiting = stream_with(drop_oldest(64))
     sizes = (100, 5000, 200_000, 900_000)
     over = threading.Event()
     most = 0
@@ -174,9 +174,9 @@ def test_many_threads_at_once_leave_the_scales_right():
     assert waiting.heavy_bytes == 5000
 
 
-@pytest.mark.parametrize("others", [{}, {"heavy.other": queue(9)}])
+@pytest.mark.parametrize("others", [{}, {"heavy.other": drop_oldest(9)}])
 def test_a_heavy_packet_that_is_put_back_is_heavy_again(others):
-    waiting = bounded(opened(), "system", {"heavy.blob": queue(64), **others})
+    waiting = bounded(opened(), "system", {"heavy.blob": drop_oldest(64), **others})
     put(waiting, blob(1, 5000), 5000)
     packet = take(waiting)
     assert waiting.heavy_bytes == 0

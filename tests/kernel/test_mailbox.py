@@ -12,7 +12,7 @@ from kernel.actors import bounded, drained, put, put_back, take
 from pykka import ActorDeadError, ActorRef
 
 from pancakes.kernel.actor import ActorCore
-from pancakes.kernel.handlers import LATEST, Keep, queue, reliable
+from pancakes.kernel.handlers import LATEST, QueuePolicy, drop_oldest, reliable
 from pancakes.kernel.mailbox import Mailbox
 from pancakes.kernel.payload_size import LIGHT_BYTES
 from pancakes.kernel.pykka_actor import Flag
@@ -50,7 +50,7 @@ def test_latest_keeps_the_newest_and_has_lost_nothing():
 
 
 def test_a_queue_lets_the_oldest_fall_out():
-    waiting = bounded(opened(), "system", {"pose": queue(3)})
+    waiting = bounded(opened(), "system", {"pose": drop_oldest(3)})
     for seq in range(1, 6):
         put(waiting, packet(seq))
     assert drained(waiting) == [3, 4, 5]
@@ -68,14 +68,14 @@ def test_a_reliable_queue_says_that_it_is_full_and_loses_nothing():
 
 
 def test_two_types_on_one_channel_never_overtake_each_other():
-    waiting = bounded(opened(), "system", {"pose": queue(9), "battery": queue(9)})
+    waiting = bounded(opened(), "system", {"pose": drop_oldest(9), "battery": drop_oldest(9)})
     for seq, name in enumerate(["pose", "battery", "battery", "pose", "battery"], start=1):
         put(waiting, packet(seq, name))
     assert drained(waiting) == [1, 2, 3, 4, 5]
 
 
 def test_each_type_on_a_channel_has_its_own_bound():
-    waiting = bounded(opened(), "system", {"pose": LATEST, None: queue(9)})
+    waiting = bounded(opened(), "system", {"pose": LATEST, None: drop_oldest(9)})
     for seq, name in enumerate(["pose", "battery", "pose", "load", "pose"], start=1):
         put(waiting, packet(seq, name))
     assert drained(waiting) == [2, 4, 5]  # of the poses only the newest, in its place
@@ -94,7 +94,7 @@ def test_a_packet_that_comes_again_is_first_and_is_not_counted_twice():
 
 def test_one_turn_is_asked_for_however_much_comes_meanwhile():
     mailbox = opened()
-    waiting = bounded(mailbox, "system", {"pose": queue(9)})
+    waiting = bounded(mailbox, "system", {"pose": drop_oldest(9)})
     put(waiting, packet(1))
     put(waiting, packet(2))
     mailbox.put(object())
@@ -103,8 +103,8 @@ def test_one_turn_is_asked_for_however_much_comes_meanwhile():
 
 def test_a_second_subscription_on_a_channel_keeps_what_waits():
     mailbox = opened()
-    put(bounded(mailbox, "system", {"pose": queue(9)}), packet(1))
-    waiting = bounded(mailbox, "system", {"pose": queue(9), "load": LATEST})
+    put(bounded(mailbox, "system", {"pose": drop_oldest(9)}), packet(1))
+    waiting = bounded(mailbox, "system", {"pose": drop_oldest(9), "load": LATEST})
     put(waiting, packet(2, "load"))
     assert drained(waiting) == [1, 2]
 
@@ -112,24 +112,24 @@ def test_a_second_subscription_on_a_channel_keeps_what_waits():
 def test_a_successor_that_subscribes_one_type_after_the_other_loses_nothing():
     """A task that was stopped and started subscribes anew, method by method; its mailbox is the old one."""
     mailbox = opened()
-    waiting = bounded(mailbox, "system", {"pose": LATEST, "load": queue(9)})
+    waiting = bounded(mailbox, "system", {"pose": LATEST, "load": drop_oldest(9)})
     for seq in (1, 2, 3):
         put(waiting, packet(seq, "load"))
     put(waiting, packet(4, "pose"))
     bounded(mailbox, "system", {"pose": LATEST})
-    after = bounded(mailbox, "system", {"pose": LATEST, "load": queue(9)})
+    after = bounded(mailbox, "system", {"pose": LATEST, "load": drop_oldest(9)})
     assert drained(after) == [1, 2, 3, 4]
 
 
 def test_the_count_of_what_fell_out_outlives_a_restart():
     mailbox = opened()
-    waiting = bounded(mailbox, "system", {"pose": queue(2)})
+    waiting = bounded(mailbox, "system", {"pose": drop_oldest(2)})
     for seq in range(3):
         put(waiting, packet(seq))
-    bounded(mailbox, "system", {"pose": queue(2)})
+    bounded(mailbox, "system", {"pose": drop_oldest(2)})
     assert mailbox.dropped() == 1
     # And so it does where one more type is listened to, also where the new queue alone is asked.
-    other = bounded(mailbox, "system", {"load": queue(9)})
+    other = bounded(mailbox, "system", {"load": drop_oldest(9)})
     assert mailbox.dropped() == other.dropped() == 1
 
 
@@ -160,13 +160,13 @@ def test_a_thread_that_waits_for_the_end_of_an_actor_waits_as_long_as_it_takes()
     assert not Flag().wait(0.0)
 
 
-KEEPS = st.one_of(st.just(LATEST), st.builds(Keep, st.integers(1, 4)), st.builds(reliable, st.integers(1, 4)))
+KEEPS = st.one_of(st.just(LATEST), st.builds(QueuePolicy, st.integers(1, 4)), st.builds(reliable, st.integers(1, 4)))
 BOUNDS = st.dictionaries(st.sampled_from(["pose", "load", None]), KEEPS, min_size=1)
 STEPS = st.lists(st.sampled_from(["put pose", "put load", "pop", "subscribe again"]), max_size=60)
 
 
 def test_a_packet_that_is_put_back_is_not_taken_for_one_that_has_fallen_out():
-    waiting = bounded(opened(), "system", {"pose": queue(2), "load": reliable(9)})
+    waiting = bounded(opened(), "system", {"pose": drop_oldest(2), "load": reliable(9)})
     for seq in (1, 2, 3):
         put(waiting, packet(seq, "load"))
     taken = take(waiting)
@@ -226,7 +226,7 @@ def test_a_packet_that_comes_before_the_token_is_given_back_gets_a_turn():
 
 def test_a_paused_mailbox_asks_for_no_turn_before_it_goes_on():
     mailbox = opened()
-    waiting = bounded(mailbox, "system", {None: queue(9)})
+    waiting = bounded(mailbox, "system", {None: drop_oldest(9)})
     mailbox.paused = True
     for seq in (1, 2):
         put(waiting, packet(seq))
@@ -237,7 +237,7 @@ def test_a_paused_mailbox_asks_for_no_turn_before_it_goes_on():
     assert mailbox.dispatch.told == 1
 
 
-@pytest.mark.parametrize("keep", [LATEST, queue(3), queue(10_000)], ids=["latest", "queue(3)", "queue(10,000)"])
+@pytest.mark.parametrize("keep", [LATEST, drop_oldest(3), drop_oldest(10_000)], ids=["latest", "3", "10,000"])
 def test_many_publishers_and_one_reader_at_once_lose_no_newest_packet_and_no_count(keep):
     mailbox = opened()
     waiting = bounded(mailbox, "system", {"pose": keep, "load": keep})

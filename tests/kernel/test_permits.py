@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from kernel.virtual_rig import VirtualRig, Word
 
-from pancakes.errors import NoPermit
+from pancakes.errors import NoPermitError
 from pancakes.kernel.actor import ActorCore
 from pancakes.kernel.permits import PermitEnd, Permits
 from pancakes.packet import Fence
@@ -132,7 +132,7 @@ def test_what_may_not_act_publishes_on_log_alone(virtual: VirtualRig, channel: s
     actor = virtual.spawn(ActorCore, "a/client/Guarded")
     actor.fence = FIRST
     virtual.kernel.permits.revoke(FIRST)
-    with pytest.raises(NoPermit, match="a/client/Guarded may not act until its guardians answer"):
+    with pytest.raises(NoPermitError, match="a/client/Guarded may not act until its guardians answer"):
         actor.publish(channel, Word("late"))
     assert virtual.kernel.permits.held_back(FIRST.task_id) == {"packets": 1}
     actor.log("info", "I wait")

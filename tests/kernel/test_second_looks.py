@@ -11,7 +11,7 @@ from pancakes.events import LogLine
 from pancakes.kernel import handlers as plan_module
 from pancakes.kernel import stream as stream_module
 from pancakes.kernel.dispatchers import Dispatcher, defer
-from pancakes.kernel.handlers import Subscription, queue
+from pancakes.kernel.handlers import Subscription, drop_oldest
 from pancakes.kernel.mailbox import Mailbox
 from pancakes.kernel.stream import Route
 from pancakes.packet import Packet
@@ -65,7 +65,7 @@ def test_a_turn_that_has_done_everything_is_followed_by_none(dispatcher, actor):
 
 def test_what_a_turn_has_left_of_its_packets_is_for_another_turn(dispatcher, actor):
     mailbox = actor.actor_inbox
-    waiting = bounded(mailbox, "system", {"line": queue(8)})
+    waiting = bounded(mailbox, "system", {"line": drop_oldest(8)})
     actor.subscribe("system", "line", lambda packet: put(waiting, packet))
     assert not given(dispatcher, actor)
     put(waiting, packet())
@@ -82,7 +82,7 @@ def test_a_message_that_comes_in_the_middle_of_a_turn_is_for_another_turn(dispat
 
 def test_a_packet_that_comes_while_the_last_is_handled_is_for_another_turn(dispatcher, actor):
     heard = []
-    waiting = bounded(actor.actor_inbox, "system", {"line": queue(8)})
+    waiting = bounded(actor.actor_inbox, "system", {"line": drop_oldest(8)})
 
     def hear(it):
         heard.append(it.body.text)
@@ -102,7 +102,7 @@ def test_a_packet_that_was_taken_is_counted_and_weighed_no_more(dispatcher, acto
     given(dispatcher, actor)
     for name in ("line", "pose"):  # then the queue is one for several types
         actor.subscribe("system", name, lambda packet: heard.append(packet.body.text))
-        waiting = bounded(mailbox, "system", {name: queue(8)})
+        waiting = bounded(mailbox, "system", {name: drop_oldest(8)})
         put(waiting, packet(), 5000)
         assert not given(dispatcher, actor)
         assert (len(waiting), waiting.dropped(), waiting.heavy_bytes) == (0, 0, 0)
@@ -110,7 +110,7 @@ def test_a_packet_that_was_taken_is_counted_and_weighed_no_more(dispatcher, acto
 
 
 def test_another_thread_may_empty_a_queue_just_before_its_reader_takes_from_it(dispatcher, actor):
-    waiting = bounded(actor.actor_inbox, "system", {"line": queue(8)})
+    waiting = bounded(actor.actor_inbox, "system", {"line": drop_oldest(8)})
     given(dispatcher, actor)
     put(waiting, packet())
     take(waiting)
@@ -203,8 +203,8 @@ def test_two_threads_may_clear_what_no_actor_will_handle():
 def test_a_reader_that_subscribes_again_as_before_keeps_the_queue():
     """What a publisher is about to put there would overtake what was moved out of it."""
     mailbox = Mailbox()
-    first = bounded(mailbox, "system", {"line": queue(8)})
-    assert bounded(mailbox, "system", {"line": queue(8)}) is first
+    first = bounded(mailbox, "system", {"line": drop_oldest(8)})
+    assert bounded(mailbox, "system", {"line": drop_oldest(8)}) is first
 
 
 # The stream
@@ -215,7 +215,7 @@ def test_a_sender_that_makes_up_one_destination_after_the_other_does_not_fill_th
     before = sum(isinstance(it, Route) for it in gc.get_objects())
     monkeypatch.setattr(stream_module, "MOST_ROUTES", 4)
     stream = stream_module.InformationStream("a")
-    stream.subscribe("a/client/R", Mailbox(), Subscription("system", "line", queue(8)))
+    stream.subscribe("a/client/R", Mailbox(), Subscription("system", "line", drop_oldest(8)))
     stream.tap("system", lambda packet: None)
     stream.gateway = lambda packet: None
     for number in range(20):

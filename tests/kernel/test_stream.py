@@ -9,8 +9,8 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import Bundle, RuleBasedStateMachine, rule
 
-from pancakes.errors import MailboxFull, UnknownChannel
-from pancakes.kernel.handlers import Subscription, queue, reliable
+from pancakes.errors import MailboxFullError, UnknownChannelError
+from pancakes.kernel.handlers import Subscription, drop_oldest, reliable
 from pancakes.kernel.mailbox import Mailbox
 from pancakes.kernel.stream import MOST_ROUTES, InformationStream
 from pancakes.packet import CORE_CHANNELS, Packet
@@ -23,11 +23,11 @@ def packet(channel="system", type_name="pose", to="", seq=1, source="a/client/So
 class Reader:
     """A component as the stream sees it: an address and a mailbox."""
 
-    def __init__(self, stream, address, *wanted, keep=None, addressed=False):
+    def __init__(self, stream, address, *wanted, queue=None, addressed=False):
         self.stream, self.address, self.mailbox = stream, address, Mailbox()
         for channel, type_name in wanted:
             stream.subscribe(
-                address, self.mailbox, Subscription(channel, type_name, keep or queue(99), addressed=addressed)
+                address, self.mailbox, Subscription(channel, type_name, queue or drop_oldest(99), addressed=addressed)
             )
 
     def got(self):
@@ -39,7 +39,7 @@ def test_the_five_channels_of_the_paper_are_there_and_cannot_be_removed():
     stream = InformationStream("a")
     assert tuple(stream.channels()) == CORE_CHANNELS == ("system", "sysctrl", "ctrl", "network", "log")
     for name in CORE_CHANNELS:
-        with pytest.raises(UnknownChannel, match=f"'{name}' is a core channel"):
+        with pytest.raises(UnknownChannelError, match=f"'{name}' is a core channel"):
             stream.close(name)
 
 
@@ -54,21 +54,21 @@ def test_a_packet_reaches_the_readers_of_its_type_on_its_channel():
 
 def test_channels_come_and_go_while_running():
     stream = InformationStream("a")
-    with pytest.raises(UnknownChannel, match="published 'pose' to 'map', but a has no such channel, only system,"):
+    with pytest.raises(UnknownChannelError, match="published 'pose' to 'map', but a has no such channel, only system,"):
         stream.publish(packet("map", to="a/client/T"))
-    with pytest.raises(UnknownChannel, match="published 'pose' to 'map', but a has no such channel, only system,"):
+    with pytest.raises(UnknownChannelError, match="published 'pose' to 'map', but a has no such channel, only system,"):
         stream.publish(packet("map"))
     stream.open("map")
     stream.open("map")  # a second time changes nothing
     reader = Reader(stream, "a/client/T", ("map", None))
     stream.publish(packet("map", seq=7))
     stream.close("map")
-    with pytest.raises(UnknownChannel):
+    with pytest.raises(UnknownChannelError):
         stream.publish(packet("map"))
     assert reader.got() == [7]
-    with pytest.raises(UnknownChannel, match="a/client/T cannot subscribe to 'map': a has no such channel"):
+    with pytest.raises(UnknownChannelError, match="a/client/T cannot subscribe to 'map': a has no such channel"):
         Reader(stream, "a/client/T", ("map", None))
-    with pytest.raises(UnknownChannel, match="a has no channel 'map'"):
+    with pytest.raises(UnknownChannelError, match="a has no channel 'map'"):
         stream.close("map")
 
 
@@ -147,7 +147,7 @@ def test_a_packet_bound_for_elsewhere_goes_to_the_gateway_and_to_no_reader_here(
     stream.publish(packet(to="*", seq=3))
     assert [out.seq for out in sent] == [2, 3]
     assert here.got() == []
-    with pytest.raises(UnknownChannel):
+    with pytest.raises(UnknownChannelError):
         stream.publish(packet("nowhere", to="b"))
 
 
@@ -167,12 +167,12 @@ def test_where_a_reliable_reader_has_no_room_no_reader_gets_the_packet():
     """So the publisher may try again, and no reader has it twice."""
     stream = InformationStream("a")
     first = Reader(stream, "a/client/First", ("system", "pose"))
-    full = Reader(stream, "a/client/Full", ("system", "pose"), keep=reliable(1))
+    full = Reader(stream, "a/client/Full", ("system", "pose"), queue=reliable(1))
     last = Reader(stream, "a/client/Last", ("system", "pose"))
     stream.publish(packet(seq=1))
     for to in ("", "a"):
         with pytest.raises(
-            MailboxFull, match="has no room for 'pose' from a/client/Source on 'system': 1 wait already"
+            MailboxFullError, match="has no room for 'pose' from a/client/Source on 'system': 1 wait already"
         ):
             stream.publish(packet(seq=2, to=to))
     assert full.got() == [1]
@@ -192,7 +192,7 @@ def test_a_tap_hears_what_is_published_here_until_it_is_taken_off():
     stream.untap("system", heard.append)
     stream.publish(packet(seq=6))
     assert [tapped.seq for tapped in heard] == [1, 2, 4]
-    with pytest.raises(UnknownChannel, match="a has no channel 'map'"):
+    with pytest.raises(UnknownChannelError, match="a has no channel 'map'"):
         stream.tap("map", heard.append)
 
 
@@ -220,8 +220,8 @@ def test_subscribers_are_listed_in_the_order_in_which_they_came():
 
 def test_how_a_reader_reads_is_described_and_what_waits_for_it():
     stream = InformationStream("a")
-    newest = Reader(stream, "a/client/Newest", ("system", "pose"), keep=queue(3))
-    Reader(stream, "a/client/Sure", ("system", "pose"), ("system", "word"), keep=reliable(7))
+    newest = Reader(stream, "a/client/Newest", ("system", "pose"), queue=3)
+    Reader(stream, "a/client/Sure", ("system", "pose"), ("system", "word"), queue=reliable(7))
     for seq in range(1, 6):
         stream.publish(packet(seq=seq))
     first, second = stream.describe("system")
@@ -231,7 +231,7 @@ def test_how_a_reader_reads_is_described_and_what_waits_for_it():
     assert first["waiting_bytes"] == 0, "none is heavy"
     assert [it["channel"] for it in stream.readings(newest.address)] == ["system"]
     assert stream.readings("a/client/Nobody") == []
-    with pytest.raises(UnknownChannel, match="no channel 'sytem', did you mean 'system'"):
+    with pytest.raises(UnknownChannelError, match="no channel 'sytem', did you mean 'system'"):
         stream.describe("sytem")
 
 
@@ -245,7 +245,7 @@ def test_a_component_with_two_subscriptions_gets_a_packet_once():
 def test_many_threads_publish_while_readers_come_and_go():
     """A reader that was there all the time misses nothing, and hears each publisher in order."""
     stream = InformationStream("a")
-    steady = Reader(stream, "a/client/Steady", ("system", "pose"), keep=queue(100_000))
+    steady = Reader(stream, "a/client/Steady", ("system", "pose"), queue=100_000)
     begin = threading.Barrier(5)
 
     def publish(number):
@@ -292,7 +292,7 @@ class StreamModel(RuleBasedStateMachine):
     @rule(name=channels)
     def close_channel(self, name):
         if name in CORE_CHANNELS or name not in self.open:
-            with pytest.raises(UnknownChannel):
+            with pytest.raises(UnknownChannelError):
                 self.stream.close(name)
             return
         self.stream.close(name)
@@ -306,9 +306,9 @@ class StreamModel(RuleBasedStateMachine):
     )
     def subscribe(self, who, channel, type_name):
         mailbox = self.mailboxes.setdefault(who, Mailbox())
-        subscription = Subscription(channel, type_name, queue(999))
+        subscription = Subscription(channel, type_name, drop_oldest(999))
         if channel not in self.open:
-            with pytest.raises(UnknownChannel):
+            with pytest.raises(UnknownChannelError):
                 self.stream.subscribe(who, mailbox, subscription)
             return
         self.stream.subscribe(who, mailbox, subscription)
@@ -328,7 +328,7 @@ class StreamModel(RuleBasedStateMachine):
         self.seq += 1
         sent = packet(channel, type_name, to, self.seq)
         if channel not in self.open:
-            with pytest.raises(UnknownChannel):
+            with pytest.raises(UnknownChannelError):
                 self.stream.publish(sent)
             return
         expected = [

@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 from kernel.actors import put_back
 
-from pancakes.errors import MailboxFull, UnknownChannel
-from pancakes.kernel.handlers import Subscription, queue, reliable
+from pancakes.errors import MailboxFullError, UnknownChannelError
+from pancakes.kernel.handlers import Subscription, drop_oldest, reliable
 from pancakes.kernel.mailbox import Mailbox
 from pancakes.kernel.payload_size import LIGHT_BYTES
 from pancakes.kernel.stream import InformationStream
@@ -53,9 +53,9 @@ def nobody(packet, error):
 
 
 KEEPS = {
-    "one subscription": {"pose": queue(5)},
-    "several": {"pose": queue(5), "ir": queue(2)},
-    "several, one of them reliable": {"pose": queue(5), "ir": reliable(2)},
+    "one subscription": {"pose": drop_oldest(5)},
+    "several": {"pose": drop_oldest(5), "ir": drop_oldest(2)},
+    "several, one of them reliable": {"pose": drop_oldest(5), "ir": reliable(2)},
 }
 
 
@@ -82,7 +82,7 @@ def test_where_there_are_too_many_the_oldest_fall_out_and_are_counted(keeps):
 
 def test_a_destination_is_kept_to():
     stream = InformationStream("a")
-    one, other = Reader(stream, "a/client/T", pose=queue(9)), Reader(stream, "a/client/U", pose=queue(9))
+    one, other = Reader(stream, "a/client/T", pose=drop_oldest(9)), Reader(stream, "a/client/U", pose=drop_oldest(9))
     for _ in range(2):
         stream.inject_all(packets(1, 2, to="a/client/U"), nobody)
     assert one.got() == [] and other.got() == [1, 2, 1, 2]
@@ -92,7 +92,7 @@ def test_a_destination_is_kept_to():
 
 def test_a_tap_hears_each_of_them():
     stream = InformationStream("a")
-    reader, heard = Reader(stream, "a/client/T", pose=queue(9)), list[Packet]()
+    reader, heard = Reader(stream, "a/client/T", pose=drop_oldest(9)), list[Packet]()
     stream.tap("system", heard.append)
     for run in (packets(1, 2), packets(3, 4)):
         stream.inject_all(run, nobody)
@@ -102,9 +102,9 @@ def test_a_tap_hears_each_of_them():
 def test_what_finds_no_room_is_told_one_by_one():
     stream = InformationStream("a")
     Reader(stream, "a/client/T", pose=reliable(2))
-    other, refused = Reader(stream, "a/client/U", pose=queue(9)), []
+    other, refused = Reader(stream, "a/client/U", pose=drop_oldest(9)), []
     stream.inject_all(packets(1, 2, 3, 4), lambda packet, error: refused.append((packet.seq, type(error))))
-    assert refused == [(3, MailboxFull), (4, MailboxFull)]
+    assert refused == [(3, MailboxFullError), (4, MailboxFullError)]
     assert other.got() == [1, 2, 3, 4]
 
 
@@ -112,7 +112,7 @@ def test_what_is_for_no_channel_is_told_one_by_one():
     stream, refused = InformationStream("a"), []
     run = [Packet("nowhere", "pose", "b/client/S", "", 0.0, seq, None) for seq in (1, 2)]
     stream.inject_all(run, lambda packet, error: refused.append((packet.seq, type(error))))
-    assert refused == [(1, UnknownChannel), (2, UnknownChannel)]
+    assert refused == [(1, UnknownChannelError), (2, UnknownChannelError)]
 
 
 TEXT = "test.text_of_a_run"
@@ -131,7 +131,7 @@ class Text:
 def test_what_came_together_weighs_what_it_took_on_the_wire(size, heavy):
     """Where that is not known each is weighed by itself."""
     stream = InformationStream("a")
-    reader = Reader(stream, "a/client/T", **{TEXT: queue(9)})
+    reader = Reader(stream, "a/client/T", **{TEXT: drop_oldest(9)})
     bodies = [Text(), Text("x" * (LIGHT_BYTES + 100)), Text("x" * 40)]
     first, *run = [Packet("system", TEXT, "b/client/S", "*", 0.0, seq, it) for seq, it in enumerate(bodies, start=1)]
     stream.inject_all([first], nobody, 20)  # the others find the route known
@@ -142,7 +142,7 @@ def test_what_came_together_weighs_what_it_took_on_the_wire(size, heavy):
 
 def test_light_ones_that_came_together_weigh_nothing():
     stream = InformationStream("a")
-    reader = Reader(stream, "a/client/T", pose=queue(9))
+    reader = Reader(stream, "a/client/T", pose=drop_oldest(9))
     stream.inject_all(packets(1), nobody, 20)
     stream.inject_all(packets(2, 3), nobody, 40)
     assert reader.queue.heavy_bytes == 0
@@ -153,14 +153,14 @@ def test_a_reader_that_subscribes_while_another_has_no_room_costs_the_others_not
     """What came from another agent does not come again, so each reader with room is to get it."""
     stream, refused = InformationStream("a"), []
     full = Reader(stream, "a/client/Full", pose=reliable(1))
-    other = Reader(stream, "a/client/Other", pose=queue(9))
+    other = Reader(stream, "a/client/Other", pose=drop_oldest(9))
 
     class ActorCore:
         """The reader that the refusal names, which is said just before the others get the packet."""
 
         @property
         def address(self):
-            Reader(stream, "a/client/New", ir=queue(9))
+            Reader(stream, "a/client/New", ir=drop_oldest(9))
             return "a/client/Full"
 
     component: Any = ActorCore()

@@ -11,7 +11,7 @@ import pytest
 
 from pancakes.events import LogLine
 from pancakes.kernel.actor import ActorCore
-from pancakes.kernel.handlers import every, on, queue, reliable
+from pancakes.kernel.handlers import every, on, reliable
 from pancakes.kernel.kernel import Kernel
 from pancakes.kernel.timer import TaskTimer
 from pancakes.packet import Packet
@@ -44,7 +44,7 @@ class Reading(ActorCore):
         self._inside = 0
         self._draws = random.Random(self.name)
 
-    @on("system", LogLine, keep=queue(1_000_000))
+    @on("system", LogLine, queue=1_000_000)
     def hear(self, packet):
         self._enter()
         if int(packet.body.text) != self.heard.get(packet.source, 0) + 1:
@@ -216,13 +216,13 @@ class Minded(ActorCore):
         super().__init__(*args)
         self.heard = []
 
-    @on("system", LogLine, keep=reliable(8))
+    @on("system", LogLine, queue=reliable(8))
     def hear(self, packet):
         self.heard.append(packet.body.text)
         if packet.body.text == "one":
             self.idea(self, packet)
 
-    @on("ctrl", LogLine, keep=reliable(8))
+    @on("ctrl", LogLine, queue=reliable(8))
     def hear_alone(self, packet):
         self.hear(packet)
 

@@ -15,8 +15,8 @@ from torture.live import free_ports
 from torture.load_fleet import LoadedFleet
 from torture.proxy import Proxy
 
-from pancakes.errors import MailboxFull
-from pancakes.kernel.handlers import LATEST, Keep, Subscription, queue, reliable
+from pancakes.errors import MailboxFullError
+from pancakes.kernel.handlers import LATEST, QueuePolicy, Subscription, drop_oldest, reliable
 from pancakes.kernel.mailbox import Mailbox
 from pancakes.kernel.stream import InformationStream
 from pancakes.packet import Packet
@@ -35,7 +35,7 @@ class Dispatcher:
 class Reader:
     """A reader of one channel, and what it has read."""
 
-    def __init__(self, stream: InformationStream, name: str, keeps: dict[str | None, Keep]) -> None:
+    def __init__(self, stream: InformationStream, name: str, keeps: dict[str | None, QueuePolicy]) -> None:
         self.mailbox = Mailbox()
         self.mailbox.dispatch = Dispatcher()
         put_back(self.mailbox)
@@ -56,7 +56,7 @@ class Reader:
         return keep is not None and keep.reliable
 
 
-KEEPS = st.one_of(st.just(LATEST), st.builds(queue, st.integers(1, 4)), st.builds(reliable, st.integers(1, 4)))
+KEEPS = st.one_of(st.just(LATEST), st.builds(drop_oldest, st.integers(1, 4)), st.builds(reliable, st.integers(1, 4)))
 READERS = st.lists(st.dictionaries(st.sampled_from((*KINDS, None)), KEEPS, min_size=1), min_size=1, max_size=4)
 STEPS = st.lists(st.one_of(st.sampled_from(KINDS), st.integers(0, 3)), max_size=60)
 
@@ -75,7 +75,7 @@ def test_a_refused_packet_that_is_published_again_comes_once_to_everybody_and_in
             try:
                 stream.publish(Packet("system", step, "a/client/Source", "", 0.0, seq, body))
                 break
-            except MailboxFull:
+            except MailboxFullError:
                 for reader in made:
                     reader.take()
         published[seq] = step

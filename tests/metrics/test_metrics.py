@@ -13,7 +13,7 @@ from pancakes.control import Reschedule, Restart, Stop
 from pancakes.devices import Battery, Load, Pose
 from pancakes.events import Event
 from pancakes.packet import NEIGHBOURS, Packet
-from pancakes.task import Task, every, on, queue
+from pancakes.task import Task, every, on
 from pancakes.testing import Fleet, threaded_agent
 from pancakes.tools.metrics.prometheus import MOST_REQUESTS
 
@@ -33,7 +33,7 @@ class Slow(Task):
 
     blocking = True
 
-    @on("system", Pose, keep=queue(2))
+    @on("system", Pose, queue=2)
     def pose(self, packet):
         raise RuntimeError("cannot read this")
 

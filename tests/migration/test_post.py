@@ -30,7 +30,7 @@ from pancakes.durable.delivery import (
     name_to,
 )
 from pancakes.durable.record import TaskId
-from pancakes.errors import MailboxFull
+from pancakes.errors import MailboxFullError
 from pancakes.packet import Packet
 
 
@@ -172,7 +172,7 @@ class TestTheSender:
 
     def test_refuses_more_than_the_window(self, out):
         post(out, WINDOW)
-        with pytest.raises(MailboxFull, match="1024 packets for the task a/Scan"):
+        with pytest.raises(MailboxFullError, match="1024 packets for the task a/Scan"):
             post(out, 1)
         assert out.waiting() == {"a/Scan": WINDOW}
         out.acknowledged(receipt(1), "a", 0.1)
@@ -256,13 +256,13 @@ def test_post_over_a_bad_network_arrives_once_and_in_order():
 def test_post_is_bounded_in_bytes_except_the_first():
     outgoing = Outgoing("s", "a")
     outgoing.post(SCAN, bytes(WINDOW_BYTES + 1), "b", 0.0)
-    with pytest.raises(MailboxFull, match=r"1 packets for the task a/Scan \(\d+ bytes\) wait"):
+    with pytest.raises(MailboxFullError, match=r"1 packets for the task a/Scan \(\d+ bytes\) wait"):
         outgoing.post(SCAN, b"x", "b", 0.0)
     outgoing.acknowledged(Receipt(str(SCAN), name_to("s", "a/Scan"), 1, 0), "b", 0.0)
     outgoing.post(SCAN, bytes(WINDOW_BYTES - 1), "b", 0.0)
     moved = Outgoing.of(outgoing.posted(), "c")
     moved.post(SCAN, b"x", "b", 0.0)
-    with pytest.raises(MailboxFull):
+    with pytest.raises(MailboxFullError):
         moved.post(SCAN, b"x", "b", 0.0)
 
 

@@ -125,7 +125,7 @@ def test_a_sensor_hears_what_was_said_before_it_had_found_its_broker_again(broke
         is_gone(agent)
         broker.start()
         broker.pub("t", "21.5", "-q", "1")
-        assert agent.wait_for(Temperature, at_most_s=10).body.celsius == 21.5
+        assert agent.wait_for(Temperature, timeout_s=10).body.celsius == 21.5
         agent.wait_until(lambda: sum("connected to the broker" in line for line in agent.lines("info")) == 2)
         assert not agent.events("task_failed")
 
@@ -158,7 +158,7 @@ class Stubborn(Task):
     blocking = True
     gate = threading.Event()
 
-    @on(NUMBERS, Number, keep=reliable(10))
+    @on(NUMBERS, Number, queue=reliable(10))
     def number(self, packet: Packet) -> None:
         self.gate.wait(30.0)
 

@@ -147,7 +147,7 @@ def test_it_says_whether_the_hardware_holds_by_itself(
 ) -> None:
     with threaded_agent("a", devices=device(cls, broker, topic="t", **settings)) as agent:
         (told,) = [agent.ask(Describe("device/device")).result]
-        assert told["holds_by_itself_s"] == holds
+        assert told["watchdog_s"] == holds
 
 
 def test_a_topic_of_commands_has_no_wildcard() -> None:

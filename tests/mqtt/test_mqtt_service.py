@@ -44,7 +44,7 @@ def test_packets_become_messages_as_the_table_says(broker: Mosquitto) -> None:
         assert told == {
             "source": "a/test/Probe",
             "type": "temperature",
-            "stamp": sent.stamp,
+            "stamp": sent.stamp_s,
             "seq": sent.seq,
             "body": {"celsius": 2.0},
         }

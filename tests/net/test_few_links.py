@@ -8,7 +8,7 @@ import pytest
 from net.conftest import MemoryRig
 from seeded import for_each
 
-from pancakes.errors import PeerLost
+from pancakes.errors import PeerLostError
 from pancakes.mesh.messages import AgentSeen, Goodbye, Gossip
 from pancakes.mesh.partial_mesh import (
     AVOIDED_S,
@@ -265,7 +265,7 @@ def test_few_links_packets_for_a_dead_agent_are_lost(memory_rig):
     assert sender.say(f"{name}/client/test") == 1 and sender.say(f"{name}/client/test") == 1
     memory_rig.timeline.run_until(memory_rig.clock.now() + MADE_S + 2 * LOOK_S)
     assert f"2 packets for {name} are lost: no link to it could be made" in sender.log("warning")
-    with pytest.raises(PeerLost, match="has no link to it"):
+    with pytest.raises(PeerLostError, match="has no link to it"):
         sender.say("unknown/client/test")
 
 
@@ -294,7 +294,7 @@ def test_what_waits_for_a_link_is_bounded(memory_rig):
             a.say("n0/client/test", bytes(MOST_WAITING_BYTES // 50))
     for number in range(1, MOST_WAITED_FOR):
         assert a.say(f"n{number}/client/test") == 1
-    with pytest.raises(PeerLost):
+    with pytest.raises(PeerLostError):
         a.say(f"n{MOST_WAITED_FOR}/client/test")
 
 

@@ -62,7 +62,7 @@ def test_the_configuration_says_how_long_a_peer_may_be_silent():
             a.wait_for_event("peer_up", peer="b")
             cut_s = fleet.now()
             fleet.network.partition(["a"], ["b"])
-            a.wait_for_event("peer_down", at_most_s=100.0, peer="b")
+            a.wait_for_event("peer_down", timeout_s=100.0, peer="b")
             return fleet.now() - cut_s
 
     assert 1.0 < gone_after_s({}) <= 2.1

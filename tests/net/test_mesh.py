@@ -11,7 +11,7 @@ from net.conftest import RIGS
 from net.meetings import pair, raw_hello
 
 from pancakes.devices import Pose
-from pancakes.errors import LocalProtocolError, PeerLost
+from pancakes.errors import LocalProtocolError, PeerLostError
 from pancakes.mesh.codec import MAX_PAYLOAD_BYTES, encode_link_message, frame
 from pancakes.mesh.link import LinkTimes
 from pancakes.mesh.memory_network import Quality
@@ -224,7 +224,7 @@ def test_what_cannot_be_sent_is_an_error_at_the_publisher(rig, agent):
         a.say("b", bytes(MAX_PAYLOAD_BYTES))
     with pytest.raises(LocalProtocolError, match="set"):
         a.say("b", {"things": {1, 2}})
-    with pytest.raises(PeerLost, match="no link to it .it is connected to b."):
+    with pytest.raises(PeerLostError, match="no link to it .it is connected to b."):
         a.say("nobody", "?")
     with pytest.raises(LocalProtocolError, match="not for another agent"):
         a.say("a/client/x", "?")
@@ -244,9 +244,9 @@ def test_a_sleeper_is_not_counted_as_dead(memory_rig):
     start_s = memory_rig.clock.now()
     memory_rig.timeline.run_until(start_s + 20.0)
     assert [it["name"] for it in a.mesh.describe()["asleep"]] == ["b"]
-    with pytest.raises(PeerLost, match="it sleeps for another 1"):
+    with pytest.raises(PeerLostError, match="it sleeps for another 1"):
         a.say("b", "?")
-    with pytest.raises(PeerLost, match="the network of b sleeps"):
+    with pytest.raises(PeerLostError, match="the network of b sleeps"):
         b.say("a", "?")
     assert a.ups == ["b"], "it was left alone"
     b.mesh.wake()

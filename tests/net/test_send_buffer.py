@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pancakes.durable.snapshot import LIMIT_BYTES, PIECE_BYTES
-from pancakes.errors import MailboxFull
+from pancakes.errors import MailboxFullError
 from pancakes.mesh.session import (
     MAX_BYTES,
     MAX_PACKETS,
@@ -81,7 +81,7 @@ def test_other_channels_have_a_window(channel):
         put(outbox, channel, number(index))
     with pytest.raises(PeerBusy, match=f"b is slow: 1024 packets .* on {channel}") as caught:
         put(outbox, channel, b"one more")
-    assert isinstance(caught.value, MailboxFull)
+    assert isinstance(caught.value, MailboxFullError)
     put(outbox, "another", b"has a window of its own")
     assert len(take_all(outbox)) == MAX_PACKETS + 1
     put(outbox, channel, b"room again")

@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
-from pancakes.errors import LocalProtocolError, PeerLost
+from pancakes.errors import LocalProtocolError, PeerLostError
 from pancakes.mesh.codec import MAX_MESSAGE_BYTES, PacketRun, frame, messages_from_payload, packets_of, run_of
 from pancakes.mesh.sending import MOST_WAYS, Sending, Way
 from pancakes.mesh.session import BATCH_BYTES, PeerBusy
@@ -95,7 +95,7 @@ def sending(turn, peers):
 
 def made(turn, peers):
     def lost(packet):
-        return PeerLost(f"{packet.destination} is away")
+        return PeerLostError(f"{packet.destination} is away")
 
     defer = turn.defer if turn is not None else lambda function: function()
     sending = Sending(lost, defer, seek=lambda agent: False)
@@ -162,7 +162,7 @@ def test_what_a_slow_peer_is_offered_goes_behind_what_was_published_before(sendi
 def test_what_cannot_travel_or_has_no_way_is_told_to_the_publisher(sending, turn, peers):
     with pytest.raises(LocalProtocolError, match="set"):
         sending.send(packet(1, body={1}))
-    with pytest.raises(PeerLost, match="away"):
+    with pytest.raises(PeerLostError, match="away"):
         sending.send(packet(2, "nobody/x"))
     turn.end()
     assert peers["b"].sent == []
@@ -207,7 +207,7 @@ def test_other_links_are_other_ways(sending, turn, peers):
     turn.end()
     assert [it.seq for it in peers["b"].got()] == [1] and [it.seq for it in newer.got()] == [2]
     sending.change({}, ())
-    with pytest.raises(PeerLost):
+    with pytest.raises(PeerLostError):
         sending.send(packet(3))
     assert sending.send(packet(4, NEIGHBOURS)) == 0
 
@@ -315,7 +315,7 @@ def test_what_is_published_while_waiting_packets_are_sent_follows_them() -> None
         sought.append(agent)
         return True
 
-    sending = Sending(lambda packet: PeerLost(""), lambda function: function(), seek)
+    sending = Sending(lambda packet: PeerLostError(""), lambda function: function(), seek)
     peer: Any = Telling()
     for number in range(2):
         assert sending.send(Packet("system", "words", "a/client/x", "b/client/y", 0.0, number, number)) == 1

@@ -109,7 +109,7 @@ def hears(agent: AgentHandle, times: int) -> None:
 
 def test_gps_poses_are_metres_from_the_origin(receiver: Receiver) -> None:
     with threaded_agent("a", devices=device(receiver.port)) as agent:
-        body = agent.wait_for(Pose, lambda body: 100.0 < body.x_m < 250.0, at_most_s=SLOW_S).body
+        body = agent.wait_for(Pose, lambda body: 100.0 < body.x_m < 250.0, timeout_s=SLOW_S).body
         steps = body.x_m / 7.4578  # 0.006 minutes of longitude at 48 degrees north
         assert steps == pytest.approx(round(steps), abs=0.02)
         assert body.y_m == pytest.approx(0.0, abs=0.01) and body.theta_rad == pytest.approx(0.0, abs=1e-6)
@@ -117,12 +117,12 @@ def test_gps_poses_are_metres_from_the_origin(receiver: Receiver) -> None:
 
 def test_gps_finds_a_gpsd_that_comes_back(receiver: Receiver) -> None:
     with threaded_agent("a", devices=device(receiver.port)) as agent:
-        agent.wait_for(Pose, at_most_s=SLOW_S)
+        agent.wait_for(Pose, timeout_s=SLOW_S)
         receiver.end()
         agent.wait_until(lambda: any("is gone (" in line for line in agent.lines("error")))
         agent.probe.forget()
         receiver.start()
-        agent.wait_for(Pose, at_most_s=SLOW_S)
+        agent.wait_for(Pose, timeout_s=SLOW_S)
         assert not agent.events("task_failed") and not agent.lines("error")
 
 
@@ -131,7 +131,7 @@ def test_gps_finds_a_gpsd_that_starts_later(receiver: Receiver) -> None:
     with threaded_agent("a", devices=device(receiver.port)) as agent:
         agent.wait_until(lambda: any("is not there (Connection refused)" in line for line in agent.lines("warning")))
         receiver.start()
-        agent.wait_for(Pose, at_most_s=SLOW_S)
+        agent.wait_for(Pose, timeout_s=SLOW_S)
         assert len([line for line in agent.lines("warning") if "is not there" in line]) == 1
 
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 from pancakes_pi.khepera import KheperaBattery, KheperaInfrared, KheperaMotors, KheperaSonar
-from pancakes_pi.khepera_lines import NoAnswer, numbers_in, ring_in, speeds, volts_in
+from pancakes_pi.khepera_lines import NoAnswerError, numbers_in, ring_in, speeds, volts_in
 from pi.khepera_bench import KheperaBench
 
 from pancakes.control import Describe, Stop
@@ -149,7 +149,7 @@ def test_too_few_sensors_are_named_and_not_told(robot: KheperaBench) -> None:
 
 def test_it_says_that_its_hardware_does_not_hold_by_itself(robot: KheperaBench) -> None:
     with threaded_agent("a", devices=devices(robot)) as agent:
-        assert agent.ask(Describe("device/motors")).result["holds_by_itself_s"] is None
+        assert agent.ask(Describe("device/motors")).result["watchdog_s"] is None
 
 
 def test_it_refuses_virtual_time_with_a_sentence(virtual_agent: Any) -> None:
@@ -168,7 +168,7 @@ def test_lines_of_the_protocol() -> None:
     assert numbers_in(b"n,1,-2\r\n", "N") == [1, -2] and numbers_in(b"d\r\n", "D,l0,l0") == []
     assert volts_in([7, 1]) == 7.0001
     for line in (b"", b"n,a", b"o,1", b"\xff", b"n,1.5", b"N,1", b"n,1_0"):
-        with pytest.raises(NoAnswer):
+        with pytest.raises(NoAnswerError):
             numbers_in(line, "N")
-    with pytest.raises(NoAnswer):
+    with pytest.raises(NoAnswerError):
         ring_in([1] * 10)

@@ -65,7 +65,7 @@ def test_a_distance_is_measured_by_the_time_of_the_echo(pins: MockFactory) -> No
     pins.pin(23, pin_class=MockTriggerPin, echo_pin=echo, echo_time=0.005)
     settings = {"trigger": 23, "echo": 24, "bearing_rad": 0.5}
     with threaded_agent("a", devices={"sonar": {"type": PinDistance, "rate_hz": 10, "settings": settings}}) as agent:
-        found = agent.wait_for(Sonar, lambda body: body.ranges_m[0] < 2.0, at_most_s=20.0).body
+        found = agent.wait_for(Sonar, lambda body: body.ranges_m[0] < 2.0, timeout_s=20.0).body
         assert found.bearings_rad == (0.5,) and found.max_range_m == 2.0
         assert 0.5 < found.ranges_m[0] < 2.0, "5 ms are 0.86 m; a loaded machine measures more"
 

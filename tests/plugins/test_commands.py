@@ -8,14 +8,14 @@ import pytest
 
 GOOD = """
 import click
-from pancakes.errors import ControlRefused
+from pancakes.errors import ControlRefusedError
 
 @click.command()
 @click.option("--fail", is_flag=True)
 def greet(fail):
     "Greet a fleet."
     if fail:
-        raise ControlRefused("the fleet does not want that")
+        raise ControlRefusedError("the fleet does not want that")
     click.echo("good morning")
 """
 

@@ -7,7 +7,7 @@ import pytest
 
 from pancakes.durable.installed import Installed
 from pancakes.errors import PluginError
-from pancakes.util.plugins import Plugins, UnknownPlugin
+from pancakes.util.plugins import Plugins, UnknownPluginError
 
 Install = Callable[..., None]
 
@@ -61,11 +61,11 @@ def test_a_name_that_nobody_offers(install: Install):
     install("hop-tasks", "[pancakes.tasks]\nhop.Hop = plugin_hop:Hop\n")
     plugins = Plugins()
 
-    with pytest.raises(UnknownPlugin) as error:
+    with pytest.raises(UnknownPluginError) as error:
         plugins.get(TASKS, "hop.Hopp")
     assert str(error.value) == "unknown task type 'hop.Hopp', did you mean 'hop.Hop'?"
 
-    with pytest.raises(UnknownPlugin) as error:
+    with pytest.raises(UnknownPluginError) as error:
         plugins.version(TASKS, "swim.Crawl")
     assert str(error.value) == "unknown task type 'swim.Crawl': no installed distribution provides tasks under 'swim.'"
 

@@ -8,7 +8,7 @@ import pytest
 from pancakes.config import parse
 from pancakes.errors import ConfigError
 from pancakes.util.entry_points import distributions
-from pancakes.util.plugins import BROUGHT_BY, GROUPS, Plugins, UnknownPlugin
+from pancakes.util.plugins import BROUGHT_BY, GROUPS, Plugins, UnknownPluginError
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -58,5 +58,5 @@ def test_a_part_that_is_not_installed_is_answered_with_what_brings_it(text: str,
 
 
 def test_a_name_of_a_distribution_that_is_installed_is_suggested() -> None:
-    with pytest.raises(UnknownPlugin, match="unknown driver 'mqtt.temprature', did you mean 'mqtt.temperature'"):
+    with pytest.raises(UnknownPluginError, match="unknown driver 'mqtt.temprature', did you mean 'mqtt.temperature'"):
         Plugins().get("pancakes.drivers", "mqtt.temprature")

@@ -61,9 +61,9 @@ def test_a_cause_that_seems_later_than_its_effect_is_still_found():
 
 def test_a_safe_hold_and_what_was_seen_elsewhere_are_no_commands():
     hold = entry(1, "a", "a/device", 1, Hold("its holder is gone"), channel="ctrl", kind="hold")
-    foreign = entry(2, "a", "b/client/Scan", 1, Twist(0.1, 0.0), channel="ctrl", kind="motors")
+    include_remote = entry(2, "a", "b/client/Scan", 1, Twist(0.1, 0.0), channel="ctrl", kind="motors")
     timer = entry(3, "a", "a/client/Scan", 1, Twist(0.1, 0.0), channel="ctrl", kind="motors")
-    (command,) = all_of(CommandChains(), [hold, foreign, timer])
+    (command,) = all_of(CommandChains(), [hold, include_remote, timer])
     assert command.packet.source == "a/client/Scan" and not command.caused
 
 

@@ -88,7 +88,7 @@ def test_everything_that_is_seen_on_an_agent_is_recorded_with_its_causes(fleet, 
     entries = finish(agent, tmp_path / "r.mcap")
     loads = [entry for entry in entries if entry.topic == "/a/system/load"]
     assert len(loads) == 20
-    assert all(abs(entry.time_ns / 1e9 - entry.packet.stamp) < 0.05 for entry in loads)
+    assert all(abs(entry.time_ns / 1e9 - entry.packet.stamp_s) < 0.05 for entry in loads)
     (answer,) = [entry.packet for entry in entries if entry.topic == "/a/ctrl/load"]
     assert answer.cause == (sent.source, sent.seq)
     assert {entry.packet.channel for entry in entries} >= {"system", "ctrl", "sysctrl", "log"}
@@ -213,7 +213,7 @@ def test_at_any_moment_all_but_the_last_second_is_in_the_file_of_who_is_killed_t
     for _ in range(60):
         fleet.run_for(0.187)
         entries = [it for it in RecordingReader(tmp_path / "r.mcap").entries() if it.packet.type == "load"]
-        newest_s = entries[-1].packet.stamp if entries else begun_s
+        newest_s = entries[-1].packet.stamp_s if entries else begun_s
         missing_s.append(agent.kernel.mission.now() - newest_s)
     assert max(missing_s) < 0.75
     # To bring it to the disk costs more, and is only for a power cut.

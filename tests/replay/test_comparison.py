@@ -15,7 +15,7 @@ def out(stamp, seq, body, kind="load", cause=None, to="", channel="system"):
 
 def outcome(before, after, **tolerance):
     found = compare(before, after, ME, Tolerance(**tolerance))
-    return found, [(it.kind, it.packet.stamp, [tuple(field) for field in it.fields]) for it in found.differences]
+    return found, [(it.kind, it.packet.stamp_s, [tuple(field) for field in it.fields]) for it in found.differences]
 
 
 def test_numbers_outside_the_tolerance_are_named():

@@ -4,7 +4,7 @@ import pytest
 
 from pancakes.control import Describe
 from pancakes.devices import Load
-from pancakes.errors import ControlRefused, PeerLost, Unreachable
+from pancakes.errors import ControlRefusedError, PeerLostError, UnreachableError
 from pancakes.packet import Packet
 from pancakes.recording.records import RecordedPacket
 from pancakes.tools.replay.replay import Feeder, Live, Selection
@@ -28,7 +28,7 @@ class Door:
 
     def send(self, packet):
         if not self.there:
-            raise PeerLost(f"{packet.type} cannot go to a")
+            raise PeerLostError(f"{packet.type} cannot go to a")
         self.sent.append((pytest.approx(self.client.now()), packet))
         self._free_s = self.client.now() + self.slow_s
 
@@ -85,7 +85,7 @@ def test_feeding_does_not_drift():
     assert len(times) == 50
     # Each wait ends up to 10 ms late; the last of fifty is no later than the second.
     assert times[-1] == pytest.approx(100.0 + 49 / 2.0, abs=0.02)
-    assert [packet.stamp for _, packet in client.door.sent][-1] == pytest.approx(40.0 + 49 / 2.0, abs=0.02)
+    assert [packet.stamp_s for _, packet in client.door.sent][-1] == pytest.approx(40.0 + 49 / 2.0, abs=0.02)
     feeding.settle()
     assert client.asked == [("a", Describe())]
     assert feeding.tally.fed() == 50
@@ -101,7 +101,7 @@ def test_feeding_keeps_mission_time(recorded_speed, speed, last_s):
 def test_slow_agent_is_waited_for_and_reported_once():
     client, said = Client(slow_s=2.0), list[str]()
     feeder(client, said).feed(entries(10), int(50e9), speed=1.0, recorded_speed=1.0)
-    times = [packet.stamp for _, packet in client.door.sent]
+    times = [packet.stamp_s for _, packet in client.door.sent]
     assert len(times) == 10
     assert times[-1] - times[0] == pytest.approx(18.0, abs=0.3)
     assert said == ["a is too slow: the replay waits for it, and is 1.0 s late"]
@@ -110,13 +110,13 @@ def test_slow_agent_is_waited_for_and_reported_once():
 def test_feeding_ends_if_an_agent_goes_away():
     client = Client()
     client.door.there = False
-    with pytest.raises(Unreachable, match="after 0 packets: a went away"):
+    with pytest.raises(UnreachableError, match="after 0 packets: a went away"):
         feeder(client).feed(entries(3), int(50e9), speed=1.0, recorded_speed=1.0)
 
 
 def test_missions_at_different_speeds_are_refused():
-    with pytest.raises(ControlRefused, match="different speeds: a at 1, b at 5"):
+    with pytest.raises(ControlRefusedError, match="different speeds: a at 1, b at 5"):
         feeder(Client(), a=1.0, b=5.0).feed(entries(1), int(50e9), speed=1.0, recorded_speed=1.0)
     client = Client()
     feeder(client, a=0.0, b=5.0).feed(entries(2), int(50e9), speed=1.0, recorded_speed=5.0)
-    assert [packet.stamp for _, packet in client.door.sent] == [40.0, 40.0]
+    assert [packet.stamp_s for _, packet in client.door.sent] == [40.0, 40.0]

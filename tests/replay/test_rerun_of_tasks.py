@@ -113,7 +113,7 @@ def test_changed_line_shows_at_the_right_packet(fleet, tmp_path):
     assert first.fields == (("cpu", 2.0, 3.0),)
     steeper = run_again(tmp_path, "a/Track", Steeper)
     (second,) = [packet for packet in steeper.script.outputs if packet.type == "load" and packet.body.cpu == 4.0]
-    assert min(it.packet.stamp for it in steeper.comparison.differences) > second.stamp
+    assert min(it.packet.stamp_s for it in steeper.comparison.differences) > second.stamp_s
     assert {it.packet.type for it in steeper.comparison.differences} == {"temperature"}
 
 
@@ -311,7 +311,7 @@ def test_recording_of_one_task_can_be_rerun(fleet, tmp_path):
 class Newest(Task):
     """Wants only the newest pose."""
 
-    @on("system", Pose, keep="latest")
+    @on("system", Pose, queue="latest")
     def pose(self, packet):
         self.publish("ctrl", Load(packet.body.x_m))
 

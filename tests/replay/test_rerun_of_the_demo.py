@@ -58,7 +58,7 @@ def test_changed_line_of_the_demo_shows_its_first_effect(mission):
         packet for packet in again.script.outputs if packet.type == "event" and packet.body.kind == "on_circle"
     ]
     first = again.comparison.differences[0]
-    assert first.packet.stamp == pytest.approx(arrived.stamp)
+    assert first.packet.stamp_s == pytest.approx(arrived.stamp_s)
     assert {field.field: (field.recorded, field.now) for field in first.fields}["v_mps"] == (0.1, 0.05)
     assert again.kinds == ["different"] * len(again.kinds)
     counts = again.comparison.streams[StreamKey("ctrl", "motors", "")]

@@ -7,7 +7,7 @@ from pancakes.devices import Load, Pose
 from pancakes.events import Event
 from pancakes.packet import Packet, type_name
 from pancakes.recording.records import RecordedPacket, TaskDescription
-from pancakes.task import Task, on, queue
+from pancakes.task import Task, on
 from pancakes.tools.replay.recorded_run import Change, Given, choose_stays, find_stays, read_script
 
 ME = "a/client/Me"
@@ -15,10 +15,10 @@ EPOCH_NS = 1_700_000_000_000_000_000
 
 
 class Me(Task):
-    @on("system", Pose, keep="latest")
+    @on("system", Pose, queue="latest")
     def pose(self, packet): ...
 
-    @on("system", Load, keep=queue(2))
+    @on("system", Load, queue=2)
     def load(self, packet): ...
 
 

@@ -3,7 +3,7 @@
 import pytest
 
 from pancakes.devices import Load, Pose
-from pancakes.errors import ControlRefused
+from pancakes.errors import ControlRefusedError
 from pancakes.packet import Fence, Packet
 from pancakes.recording.clock_alignment import MissionTime
 from pancakes.recording.records import RecordedPacket
@@ -68,9 +68,9 @@ def test_only_matches_topics_and_sources():
 
 def test_from_and_to_are_mission_times():
     entries = [seen(5.0 + number, "a", "a/device/load") for number in range(5)]
-    assert [it.packet.stamp for it in fed(entries, from_s=6.0, to_s=8.0)] == [6.0, 7.0]
+    assert [it.packet.stamp_s for it in fed(entries, from_s=6.0, to_s=8.0)] == [6.0, 7.0]
     twice_as_fast = MissionTime(zero_ns=4_000_000_000, speed=2.0)  # so that they are at 2, 4, 6, 8, 10 s
-    assert [it.packet.stamp for it in fed(entries, from_s=4.0, to_s=8.0, time=twice_as_fast)] == [6.0, 7.0]
+    assert [it.packet.stamp_s for it in fed(entries, from_s=4.0, to_s=8.0, time=twice_as_fast)] == [6.0, 7.0]
 
 
 def test_as_renames_the_source_and_drops_the_fence():
@@ -112,11 +112,11 @@ def test_null_device_does_not_publish():
 
 def test_missing_channel_agent_or_packets_are_errors():
     entries = [seen(1.0, "a", "a/client/Map", channel="map")]
-    with pytest.raises(ControlRefused, match=r"a has no channel 'map' for 1 packets of a/client/Map"):
+    with pytest.raises(ControlRefusedError, match=r"a has no channel 'map' for 1 packets of a/client/Map"):
         tally_of(Selection(live("a")), entries)
-    with pytest.raises(ControlRefused, match="all packets are left out: a does not run"):
+    with pytest.raises(ControlRefusedError, match="all packets are left out: a does not run"):
         tally_of(Selection(live("c")), entries)
-    with pytest.raises(ControlRefused, match="no packets that match --only in that time"):
+    with pytest.raises(ControlRefusedError, match="no packets that match --only in that time"):
         tally_of(Selection(live("a"), only=("x",), to_s=1.0), entries)
-    with pytest.raises(ControlRefused, match="no packets on system or a user channel"):
+    with pytest.raises(ControlRefusedError, match="no packets on system or a user channel"):
         tally_of(Selection(live("a")), [])

@@ -36,7 +36,7 @@ class Walk(Sensor):
 
     type = "pose"
 
-    def sample(self):
+    def read(self):
         return Pose(round(self.context.now(), 3), 0.0, 0.0)
 
 
@@ -67,7 +67,7 @@ def walk(tmp_path):
 
 def answers(folder):
     entries = [entry for entry in RecordingReader(folder).entries() if entry.packet.channel == "ctrl"]
-    return [(entry.packet.body.cpu, entry.packet.stamp) for entry in entries]
+    return [(entry.packet.body.cpu, entry.packet.stamp_s) for entry in entries]
 
 
 def replayed(walk, out, scale=1.0, **selection):

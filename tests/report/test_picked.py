@@ -59,7 +59,7 @@ def test_picked_plain_values_add_up(picked):
 
 def test_picked_commands_have_recording_time():
     again = command(300)
-    again = msgspec.structs.replace(again, packet=msgspec.structs.replace(again.packet, stamp=0.5))
+    again = msgspec.structs.replace(again, packet=msgspec.structs.replace(again.packet, stamp_s=0.5))
     picked = PickedCommands(MissionTime(zero_ns=10 * 10**9, speed=5.0))
     picked.add(again)
     assert [it.mission_s for it in picked.actuators()[0].commands()] == [pytest.approx(5 * (30.002 - 10))]

@@ -32,18 +32,18 @@ class Told:
             try:
                 self._lines.put(json.loads(line))
             except ValueError:
-                pass  # a foreign library said something
+                pass  # a include_remote library said something
         stream.close()
 
-    def wait(self, fits: Callable[[dict[str, Any]], Any], at_most_s: float = AT_MOST_S) -> dict[str, Any]:
+    def wait(self, fits: Callable[[dict[str, Any]], Any], timeout_s: float = AT_MOST_S) -> dict[str, Any]:
         """Returns the next line that fits."""
-        deadline_s = time.monotonic() + at_most_s
+        deadline_s = time.monotonic() + timeout_s
         while True:
             try:
                 line = self._lines.get(timeout=max(0.0, deadline_s - time.monotonic()))
             except queue.Empty:
                 raise AssertionError(
-                    f"nothing that fits was said within {at_most_s} s; last: {self.all[-3:]}"
+                    f"nothing that fits was said within {timeout_s} s; last: {self.all[-3:]}"
                 ) from None
             self.all.append(line)
             if fits(line):
@@ -80,9 +80,9 @@ class RosPeer:
         self.order("listen", topic=topic, type=kind, **order)
         self.told.wait(lambda line: line.get("listens") == topic)
 
-    def heard(self, topic: str, fits: Callable[[Any], Any] = lambda message: True, at_most_s: float = AT_MOST_S) -> Any:
+    def heard(self, topic: str, fits: Callable[[Any], Any] = lambda message: True, timeout_s: float = AT_MOST_S) -> Any:
         """Returns the next message of a topic that fits."""
-        return self.told.wait(lambda line: line.get("heard") == topic and fits(line["message"]), at_most_s=at_most_s)
+        return self.told.wait(lambda line: line.get("heard") == topic and fits(line["message"]), timeout_s=timeout_s)
 
     def ever_heard(self, topic: str, fits: Callable[[Any], Any]) -> Any:
         """Returns a message of a topic that fits: one that came before, or the next."""
@@ -112,7 +112,7 @@ class RosPeer:
         while True:
             publish()
             try:
-                return self.heard(topic, fits, at_most_s=0.2)
+                return self.heard(topic, fits, timeout_s=0.2)
             except AssertionError:
                 if time.monotonic() > deadline_s:
                     raise
@@ -161,9 +161,9 @@ class RosAgent:
         """Returns what it has said on its standard error."""
         return self.log.read_text(errors="replace")
 
-    def wait_for_line(self, text: str, at_most_s: float = AT_MOST_S) -> None:
+    def wait_for_line(self, text: str, timeout_s: float = AT_MOST_S) -> None:
         """Waits until it has said something."""
-        deadline_s = time.monotonic() + at_most_s
+        deadline_s = time.monotonic() + timeout_s
         while text not in self.lines():
             assert time.monotonic() < deadline_s, f"{self.name} did not say {text!r}:\n{self.lines()}"
             time.sleep(0.02)

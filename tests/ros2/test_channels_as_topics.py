@@ -20,18 +20,18 @@ topic = "pose"
 message = "geometry_msgs/PoseStamped"
 packet = "pose"
 frame = "map"
-foreign = true
+include_remote = true
 max_hz = 1000
 [[service.ros2.settings.topics]]
 topic = "ir"
 message = "sensor_msgs/Range"
 packet = "ir"
-foreign = true
+include_remote = true
 [[service.ros2.settings.topics]]
 topic = "/force"
 message = "geometry_msgs/Wrench"
 channel = "ros"
-foreign = true
+include_remote = true
 [[service.ros2.settings.topics]]
 topic = "words"
 message = "std_msgs/String"

@@ -70,7 +70,7 @@ def test_in_virtual_time_a_device_refuses():
     driver = RosMotors(context, make_settings(RosMotors.Settings, {}))
     with pytest.raises(PancakesError, match="agent1 lives in virtual time, where no robot of ROS 2 can follow it"):
         driver.open()
-    driver.hold()
+    driver.safe_stop()
     driver.close()
 
 

@@ -175,7 +175,7 @@ def awake(gateway: AgentHandle) -> bool:
 
 
 def rate_hz(agent: AgentHandle, task: str) -> float:
-    return 1.0 / agent.component(f"device/{task}").timers["sample"].period_s
+    return 1.0 / agent.component(f"device/{task}").timers["read"].period_s
 
 
 def test_a_quiet_node_sleeps_most_of_the_time_and_looks_in_now_and_then(fleet: Fleet) -> None:

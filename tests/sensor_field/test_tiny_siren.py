@@ -97,7 +97,7 @@ def test_it_falls_silent_by_itself_where_its_gateway_is_dead(fleet: Fleet, hardw
 
 
 def test_its_driver_says_that_it_does(fleet: Fleet, hardware: Hardware) -> None:
-    assert fleet.agents["gateway"].ask(Describe("siren")).result["holds_by_itself_s"] == 0.5
+    assert fleet.agents["gateway"].ask(Describe("siren")).result["watchdog_s"] == 0.5
 
 
 def test_a_node_that_has_not_spoken_cannot_be_commanded_and_that_is_said_once(fleet: Fleet, hardware: Hardware) -> None:
@@ -119,9 +119,9 @@ def test_a_command_is_good_for_whole_tenths_of_a_second_and_rather_too_short(ttl
     wires.note("shed", sent.append)
     context = DriverContext(device="siren", shared={"sensor_field.wires": wires})
     siren = TinySiren(context, TinySiren.Settings("shed", 7))
-    siren.apply(Siren(True), ttl_s, "a/client/Warn")
-    siren.apply(Siren(False), ttl_s, "a/client/Warn")
-    siren.hold()
+    siren.write(Siren(True), ttl_s, "a/client/Warn")
+    siren.write(Siren(False), ttl_s, "a/client/Warn")
+    siren.safe_stop()
     frames = Decoder().feed(b"".join(sent))
     assert [(frame.node, frame.kind, frame.value) for frame in frames] == [
         (7, SIREN, tenths),

@@ -61,13 +61,13 @@ class Storm:
     def _remove(self, name: str) -> None:
         agent = self._fleet.agents[name]
         fence = agent.slot("X").fence
-        if fence is not None and agent.ask(Remove("X"), at_most_s=60.0).ok:
+        if fence is not None and agent.ask(Remove("X"), timeout_s=60.0).ok:
             self._gone.add(fence.task_id)
             self._epochs[fence.task_id] = fence.epoch[0]
             self.done["removed"] += 1
 
     def _migrate(self, name: str) -> None:
-        self.done["moved"] += self._fleet.agents[name].ask(Migrate("X"), at_most_s=60.0).ok
+        self.done["moved"] += self._fleet.agents[name].ask(Migrate("X"), timeout_s=60.0).ok
 
     def look(self, duration_s: float) -> None:
         """Looks again and again what runs."""

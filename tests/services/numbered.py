@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field
 from typing import Any
 
-from pancakes.errors import MailboxFull
+from pancakes.errors import MailboxFullError
 from pancakes.packet import packet_type, task_address
 from pancakes.task import Task, every, on
 
@@ -61,7 +61,7 @@ class Source(Task):
     def send(self, tick):
         try:
             self.publish("system", Numbered(self.state.n + 1), to=SINK)
-        except MailboxFull:
+        except MailboxFullError:
             return
         self.state.n += 1
 

@@ -27,7 +27,7 @@ class Still(Sensor):
 
     type = "pose"
 
-    def sample(self) -> Pose:
+    def read(self) -> Pose:
         return Pose(0.0, 0.0, 0.0)
 
 

@@ -94,7 +94,7 @@ def test_a_task_whose_actuators_were_taken_after_the_bid_stays_where_it_is(fleet
     a, b = fleet.agents["a"], fleet.agents["b"]
     moving = a.publish(SYSCTRL, Migrate("Circle"))
     assert fleet.run_until(lambda: phase(fleet, "a") is Phase.FROZEN)
-    assert b.ask(Start("Home"), at_most_s=0.02).ok
+    assert b.ask(Start("Home"), timeout_s=0.02).ok
     assert "wheels is held by b/client/Home" in a.reply_to(moving).reason
     assert a.running() == ["Circle"]
     assert b.running() == ["Home"]
@@ -132,10 +132,10 @@ class Wheels(Actuator):
     type = "motors"
     told: ClassVar[list[float]] = []
 
-    def apply(self, command, valid_s, source):
+    def write(self, command, valid_s, source):
         Wheels.told.append(command.v_mps)
 
-    def hold(self):
+    def safe_stop(self):
         pass
 
 

@@ -9,7 +9,7 @@ from msgspec import Meta
 from pancakes.control import Channels, Configure, Describe, Follow, History, Reschedule, Restart, Shutdown, Start, Stop
 from pancakes.devices import Load, Pose
 from pancakes.service import Service
-from pancakes.task import Task, every, on, queue
+from pancakes.task import Task, every, on
 from pancakes.testing import Fleet
 
 
@@ -35,7 +35,7 @@ class Count(Task):
         self.state.n += self.settings.step
         self.publish("system", Load(float(self.state.n)))
 
-    @on("system", Pose, keep=queue(3))
+    @on("system", Pose, queue=3)
     def pose(self, packet):
         pass
 
@@ -263,7 +263,7 @@ def test_only_a_client_may_follow_what_others_send(fleet):
     fleet.start("b")
     agent = fleet.start("a")
     fleet.connect()
-    reply = agent.ask(Follow("system", foreign=True), to="b")
+    reply = agent.ask(Follow("system", include_remote=True), to="b")
     assert reply.reason == "a is no client, so it cannot follow what others send to b"
 
 
@@ -272,9 +272,9 @@ def test_a_simulated_world_may_not_follow_what_others_send_and_a_client_may(flee
     world = fleet.start("world", role="environment")
     page = fleet.start("page", role="client")
     fleet.connect()
-    reply = world.ask(Follow("system", foreign=True), to="a")
+    reply = world.ask(Follow("system", include_remote=True), to="a")
     assert reply.reason == "world is no client, so it cannot follow what others send to a"
-    assert page.ask(Follow("system", foreign=True), to="a").ok
+    assert page.ask(Follow("system", include_remote=True), to="a").ok
     world.publish("system", Load(0.5), to="a")
     fleet.run_for(0.1)
     assert [packet.body.cpu for packet in page.probe.packets(Load, source="world/test/Probe")] == [0.5]

@@ -45,7 +45,7 @@ class Spoiler(Sensor):
     def open(self):
         (Path(self.settings.state) / WRITE_AHEAD).mkdir()
 
-    def sample(self):
+    def read(self):
         return Pose(0.0, 0.0, 0.0)
 
 
@@ -89,12 +89,12 @@ def test_each_asker_is_answered_while_the_journal_cannot_write_and_all_is_done_i
             bodies = (Start("Count"), Configure("Count", {"step": 2}), Stop("Count"))
             asked = [agent.publish(SYSCTRL, body) for body in bodies]
             for packet in asked:
-                reply = agent.reply_to(packet, at_most_s=3.0)
+                reply = agent.reply_to(packet, timeout_s=3.0)
                 assert not reply.ok
                 assert reply.reason.startswith("a/client/Count is starting; what was asked for waits: the journal ")
                 assert what in reply.reason and f"({state})" in reply.reason
             assert agent.running() == []
-            assert agent.ask(Describe("Count"), at_most_s=3.0).result["state"] == "starting"
+            assert agent.ask(Describe("Count"), timeout_s=3.0).result["state"] == "starting"
 
         agent.wait_for_event("task_started", task="Count")
         agent.wait_for_event("task_stopped", task="Count")

@@ -35,7 +35,7 @@ class Thermometer(Sensor):
         if self.settings.fail_at_open:
             raise OSError("no such port")
 
-    def sample(self):
+    def read(self):
         self.readings += 1
         if self.readings > self.settings.fail_after:
             raise OSError("unplugged")
@@ -54,10 +54,10 @@ class Wheels(Actuator):
     def open(self):
         type(self).told = []
 
-    def apply(self, command, ttl_s, source):
+    def write(self, command, ttl_s, source):
         self.told.append((round(self.context.now(), 3), command.v_mps, source.rpartition("/")[2]))
 
-    def hold(self):
+    def safe_stop(self):
         self.told.append((round(self.context.now(), 3), "hold"))
 
     def close(self):
@@ -147,7 +147,7 @@ class Confused(Sensor):
 
     type = "load"
 
-    def sample(self):
+    def read(self):
         return Pose(0.0, 0.0, 0.0)
 
 
@@ -217,7 +217,7 @@ def test_a_driver_that_fails_is_opened_anew_and_goes_on(fleet):
 
 def test_a_driver_that_fails_again_while_it_is_closed_for_that_says_both(fleet):
     class Broken(Thermometer):
-        def sample(self):
+        def read(self):
             raise OSError("unplugged")
 
         def close(self):
@@ -388,7 +388,7 @@ def test_when_the_device_stops_it_holds_and_is_closed(fleet):
 
 def test_a_driver_that_cannot_hold_is_closed_all_the_same(fleet):
     class Bad(Wheels):
-        def hold(self):
+        def safe_stop(self):
             raise OSError("unplugged")
 
     agent = fleet.start("a", devices={"wheels": Bad})
@@ -435,7 +435,7 @@ def test_a_virtual_sensor_gives_an_agent_what_another_one_measures(fleet):
     class Steering(Task):
         requires = ("pose",)
 
-        @on("system", Pose, keep="latest")
+        @on("system", Pose, queue="latest")
         def pose(self, packet):
             self.event("saw", x_m=packet.body.x_m, source=packet.source)
 
@@ -522,5 +522,5 @@ def test_the_rate_of_discovery_is_a_tasks_rate_like_any_other(fleet):
 def test_only_an_actuator_says_whether_it_holds_by_itself():
     with Fleet(1) as fleet:
         agent = fleet.start("a", devices={"motors": "null.motors", "pose": "null.pose"})
-        assert "holds_by_itself_s" in agent.ask(Describe("motors")).result
-        assert "holds_by_itself_s" not in agent.ask(Describe("pose")).result
+        assert "watchdog_s" in agent.ask(Describe("motors")).result
+        assert "watchdog_s" not in agent.ask(Describe("pose")).result

@@ -22,10 +22,10 @@ class Wheels(Actuator):
     type = "motors"
     told: list = []
 
-    def apply(self, command, ttl_s, source):
+    def write(self, command, ttl_s, source):
         self.told.append((self.context.agent, command.v_mps))
 
-    def hold(self):
+    def safe_stop(self):
         pass
 
 

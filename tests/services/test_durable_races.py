@@ -45,10 +45,10 @@ class Wheels(Actuator):
 
     type = "motors"
 
-    def apply(self, command, ttl_s, source):
+    def write(self, command, ttl_s, source):
         pass
 
-    def hold(self):
+    def safe_stop(self):
         pass
 
 

@@ -55,7 +55,7 @@ class Unplugged(Sensor):
     def open(self):
         paint({})
 
-    def sample(self):
+    def read(self):
         return None
 
 
@@ -69,10 +69,10 @@ class Lamp(Actuator):
 
     type = "motors"
 
-    def apply(self, command, ttl_s, source):
+    def write(self, command, ttl_s, source):
         pass
 
-    def hold(self):
+    def safe_stop(self):
         pass
 
 
@@ -83,7 +83,7 @@ class Probe(Sensor):
     class Settings:
         gain: Annotated[float, Meta(gt=0)] = 1.0
 
-    def sample(self):
+    def read(self):
         return None
 
 

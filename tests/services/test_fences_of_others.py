@@ -242,7 +242,7 @@ def test_an_answer_that_comes_late_lowers_no_fence(fleet):
     asked: list[Packet] = []
     a.kernel.stream.tap("network", asked.append, ("task.where",))
     fleet.network.heal()
-    assert fleet.run_until(lambda: asked, at_most_s=30.0)
+    assert fleet.run_until(lambda: asked, timeout_s=30.0)
     fences = far.component("device").slots["wheels"].spec.arguments["fences"].fences
     fences.write("wheels", "a/Circle", Mark(5, "x", "far"), lambda: None, pytest.fail)
     fleet.run_for(2.0)
@@ -274,7 +274,7 @@ def test_one_that_claims_all_the_time_keeps_no_other_from_being_heard(fleet):
     assert a.ask(Migrate("Circle", to="c")).ok
     fleet.network.set_quality("far", "a", Quality(latency_s=0.2))
     fleet.network.heal()
-    assert fleet.run_until(lambda: {"a", "z"} <= set(far.agent.mesh.neighbours()), at_most_s=30.0)
+    assert fleet.run_until(lambda: {"a", "z"} <= set(far.agent.mesh.neighbours()), timeout_s=30.0)
     for number in range(300):
         forge(fleet, "z", (number + 5, "z"), for_s=0.01)
     assert marks(far) == {"a/Circle": (1, "c")} and drives(fleet)

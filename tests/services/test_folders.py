@@ -38,7 +38,7 @@ class Gauge(Sensor):
     class Settings:
         path: FilePath = ""
 
-    def sample(self):
+    def read(self):
         return None
 
 

@@ -47,13 +47,13 @@ def test_a_created_task_that_is_guarded_is_taken_over(fleet: Fleet) -> None:
     fleet.run_for(5.0)
     assert a.running() == []
     owner = b if b.running() else c
-    assert owner.ask(Remove("Count"), at_most_s=30.0).ok
+    assert owner.ask(Remove("Count"), timeout_s=30.0).ok
     assert a.ask(GUARDED).ok
 
 
 def test_the_guardians_of_a_removed_task_forget_it_and_none_has_it_run_again(fleet: Fleet) -> None:
     a, b, c = agents = guarded(fleet)
-    removed = a.ask(Remove("Count"), at_most_s=30.0)
+    removed = a.ask(Remove("Count"), timeout_s=30.0)
     assert removed.ok, removed.reason
     fleet.run_for(1.0)
     assert [guarding(it) for it in agents] == [[], [], []]
@@ -69,7 +69,7 @@ def test_the_guardians_of_a_removed_task_forget_it_and_none_has_it_run_again(fle
 
 def test_what_was_guarded_and_removed_runs_unguarded_where_it_is_created_so(fleet: Fleet) -> None:
     a, *_ = guarded(fleet)
-    assert a.ask(Remove("Count"), at_most_s=30.0).ok
+    assert a.ask(Remove("Count"), timeout_s=30.0).ok
     assert a.ask(COUNT).ok
     fleet.run_for(4.05)
     assert count_of(a) == 40
@@ -80,7 +80,7 @@ def test_a_guardian_that_was_away_while_it_was_removed_forgets_it_too(fleet: Fle
     away = c if "c" in str(a.ask(Guarding()).result[0]["guardians"]) else b
     fleet.crash(away.name)
     fleet.run_for(3.0)
-    assert a.ask(Remove("Count"), at_most_s=60.0).ok
+    assert a.ask(Remove("Count"), timeout_s=60.0).ok
     back = fleet.restart(away.name)
     fleet.run_for(60.0)
     assert not back.running() and not a.running() and guarding(back) == []
@@ -91,13 +91,13 @@ def test_a_removal_that_waits_for_guardians_says_so_and_is_done_once_they_are_ba
     fleet.crash("b")
     fleet.crash("c")
     began_s = fleet.now()
-    waits = a.ask(Remove("Count"), at_most_s=60.0)
+    waits = a.ask(Remove("Count"), timeout_s=60.0)
     assert 5.0 <= fleet.now() - began_s < 5.1
     assert not waits.ok and "removed once more than half of its guardians let go of it (b and c)" in waits.reason
     assert a.ask(Start("Count")).reason == "a/client/Count is being removed"
     fleet.restart("b")
     fleet.restart("c")
-    assert a.wait_for_event("task_removed", at_most_s=60.0)["task"] == "Count"
+    assert a.wait_for_event("task_removed", timeout_s=60.0)["task"] == "Count"
     fleet.run_for(20.0)
     assert not any(it.running() for it in fleet.agents.values())
 
@@ -106,19 +106,19 @@ def test_what_is_asked_of_one_that_cannot_start_without_its_guardians_is_answere
     fleet: Fleet,
 ) -> None:
     a, _, _ = guarded(fleet)
-    assert a.ask(Stop("Count"), at_most_s=30.0).ok
+    assert a.ask(Stop("Count"), timeout_s=30.0).ok
     fleet.crash("b")
     fleet.crash("c")
     fleet.run_for(5.0)
     for body in (Start("Count"), Configure("Count", {"step": 5}), Remove("Count")):
-        reason = a.ask(body, at_most_s=6.0).reason
+        reason = a.ask(body, timeout_s=6.0).reason
         assert reason == (
             "a/client/Count is starting; what was asked for waits for its guardians (b, c)."
             " It is done once more than half of them answer"
         )
     fleet.restart("b")
     fleet.restart("c")
-    assert a.wait_for_event("task_removed", at_most_s=60.0)["task"] == "Count"
+    assert a.wait_for_event("task_removed", timeout_s=60.0)["task"] == "Count"
     fleet.run_for(20.0)
     assert not any(it.running() for it in fleet.agents.values())
 

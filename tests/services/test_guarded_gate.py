@@ -29,17 +29,17 @@ class Wheels(Actuator):
     def open(self):
         type(self).told = []
 
-    def apply(self, command, ttl_s, source):
+    def write(self, command, ttl_s, source):
         self.told.append((self.context.now(), ttl_s))
 
-    def hold(self):
+    def safe_stop(self):
         self.told.append((self.context.now(), "hold"))
 
 
 class WithDeadMan(Wheels):
     """The same, with firmware that counts."""
 
-    def holds_by_itself(self, hold_after_s):
+    def watchdog_s(self, hold_after_s):
         return hold_after_s
 
 
@@ -208,14 +208,14 @@ def test_hardware_without_a_dead_man_switch_is_warned_of_once():
         assert (event["task"], event["device"]) == ("Drive", "motors")
         assert sum("whose hardware does not hold by itself" in line for line in a.lines("warning")) == 1
         assert row(fleet)["no_dead_man"] == ["motors"]
-        assert a.ask(Describe("motors")).result["holds_by_itself_s"] is None
+        assert a.ask(Describe("motors")).result["watchdog_s"] is None
 
 
 def test_hardware_with_one_is_not(fleet):
     a = fleet.agents["a"]
     fleet.run_for(3.0)
     assert not a.events("no_dead_man") and row(fleet)["no_dead_man"] == []
-    assert a.ask(Describe("motors")).result["holds_by_itself_s"] == 0.5
+    assert a.ask(Describe("motors")).result["watchdog_s"] == 0.5
 
 
 def test_what_a_task_was_when_its_agent_ended_is_written_down_without_a_permit_too():

@@ -21,10 +21,10 @@ class Wheels(Actuator):
     type = "motors"
     held = 0
 
-    def apply(self, command, ttl_s, source):
+    def write(self, command, ttl_s, source):
         pass
 
-    def hold(self):
+    def safe_stop(self):
         type(self).held += 1
 
 

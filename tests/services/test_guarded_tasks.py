@@ -8,7 +8,7 @@ from pancakes.control import Guarding, Migrate, Stop, Take
 from pancakes.durable.guardian import CALLED_S
 from pancakes.durable.messages import NO_CHECKPOINT, TakeTask, addressed
 from pancakes.durable.record import Epoch, Phase, TaskId
-from pancakes.errors import NoPermit
+from pancakes.errors import NoPermitError
 from pancakes.events import Event
 from pancakes.events import record_of as record_of_log
 from pancakes.journal.journal import MARK
@@ -276,7 +276,7 @@ def test_a_task_without_a_permit_publishes_nothing_but_log_lines(guarded):
     a = guarded.agents["a"]
     task, core = a.task("Count"), a.component("client/Count")
     a.kernel.permits.revoke(core.fence)
-    with pytest.raises(NoPermit, match="a/client/Count may not act until its guardians answer"):
+    with pytest.raises(NoPermitError, match="a/client/Count may not act until its guardians answer"):
         task.publish("system", Numbered(1))
     task.log("info", "said all the same")
     guarded.run_for(0.1)

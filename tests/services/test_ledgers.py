@@ -4,9 +4,9 @@ import pytest
 from msgspec.structs import replace
 
 from pancakes.control import Migrate, Migrations
-from pancakes.durable.store import LEDGER, Ledgers
+from pancakes.durable.store import LEDGER, MigrationReports
 from pancakes.journal import Disk, JournalEntry, MemoryJournal, VirtualStore
-from pancakes.migration import Ledger, Line
+from pancakes.migration import Line, MigrationReport
 from pancakes.task import Task
 from pancakes.testing import Fleet
 
@@ -17,7 +17,9 @@ KEPT = 100
 
 
 def ledger(name="Count"):
-    return Ledger(f"a/{name}", "a", "rule", "tasks", "moved", "b", (Line("b", "bid", "won", 1.0, {"tasks": 1.0}),), 0.5)
+    return MigrationReport(
+        f"a/{name}", "a", "rule", "tasks", "moved", "b", (Line("b", "bid", "won", 1.0, {"tasks": 1.0}),), 0.5
+    )
 
 
 def test_each_move_is_kept_over_a_crash_with_all_that_was_said():
@@ -93,7 +95,7 @@ def opened(disk, log=print):
     journal = MemoryJournal(disk, "id")
     store = VirtualStore(journal, lambda delay_s, call: call())
     unread: list[str] = []
-    return Ledgers(Disk(journal, store, unread), log), store, unread
+    return MigrationReports(Disk(journal, store, unread), log), store, unread
 
 
 def test_the_newest_hundred_are_kept(disk):

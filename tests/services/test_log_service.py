@@ -167,7 +167,7 @@ def test_what_waits_for_the_disk_before_a_recording_begins_is_told_so(tmp_path):
         agent = fleet.start("a")
         fleet.faults.slow_disk("a", 6.0)
         begun_s = fleet.now()
-        told = agent.ask(Start("log/Recorder", {"path": str(tmp_path / "1.mcap")}), at_most_s=10.0)
+        told = agent.ask(Start("log/Recorder", {"path": str(tmp_path / "1.mcap")}), timeout_s=10.0)
         assert told.reason == (
             "a/log/Recorder waits for the disk; what was asked for is done as soon as that can write"
         )

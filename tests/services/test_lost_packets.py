@@ -6,22 +6,22 @@ from pancakes.client.rates import RateMeter
 from pancakes.control import Channels, Describe
 from pancakes.devices import Load, Memory, Pose
 from pancakes.recording.task_statistics import figures_of
-from pancakes.task import Task, on, queue
+from pancakes.task import Task, on
 from pancakes.tools.web.fleet_model import FleetModel
 
 
 class Newest(Task):
     """Wants the newest pose and nothing else, by a channel of its own and by one on which it wants all loads."""
 
-    @on("system", Pose, keep="latest")
+    @on("system", Pose, queue="latest")
     def pose(self, packet):
         pass
 
-    @on("ctrl", Pose, keep="latest")
+    @on("ctrl", Pose, queue="latest")
     def command(self, packet):
         pass
 
-    @on("ctrl", Load, keep=queue(2))
+    @on("ctrl", Load, queue=2)
     def load(self, packet):
         pass
 

@@ -114,8 +114,8 @@ def test_migration_pauses_for_less_than_half_a_second(fleet):
     assert a.ask(Migrate("Circle")).ok
     fleet.run_for(1.0)
     assert b.probe.packets(Load)[0].body.cpu == a.probe.packets(Load)[-1].body.cpu + 1
-    last_s = a.kernel.mission.host_time(a.probe.packets(Twist)[-1].stamp)
-    first_s = b.kernel.mission.host_time(b.probe.packets(Twist)[0].stamp)
+    last_s = a.kernel.mission.host_time(a.probe.packets(Twist)[-1].stamp_s)
+    first_s = b.kernel.mission.host_time(b.probe.packets(Twist)[0].stamp_s)
     assert 0.0 < first_s - last_s < 0.5
 
 
@@ -278,7 +278,7 @@ def test_migration_does_not_wait_for_silent_neighbours():
 
 def test_migration_ends_if_the_only_neighbour_is_silent(fleet):
     fleet.network.partition(["b"])
-    reply = fleet.agents["a"].ask(Migrate("Circle"), at_most_s=20.0)
+    reply = fleet.agents["a"].ask(Migrate("Circle"), timeout_s=20.0)
     assert reply.reason == "no neighbour can take Circle: b: did not answer within 8 s"
     assert reply.result["duration_s"] == pytest.approx(8.0, abs=0.1) and hosts(fleet) == ["a"]
 
@@ -373,12 +373,12 @@ def test_migration_rule_moves_with_its_task():
 # Troubles on the way -------------------------------------------------------------------------------------------
 
 
-def until(fleet, condition, at_most_s=20.0, what=""):
+def until(fleet, condition, timeout_s=20.0, what=""):
     """Runs step by step until a condition holds, so that the moment is caught as it comes."""
     begin_s = fleet.now()
     while not condition():
         assert fleet.dispatcher.step(), "nothing happens any more"
-        assert fleet.now() < begin_s + at_most_s, what or "it did not come"
+        assert fleet.now() < begin_s + timeout_s, what or "it did not come"
 
 
 @pytest.mark.parametrize("commanded", [Stop("Circle"), Restart("Circle"), Reschedule("Circle", 1.0)])
@@ -387,7 +387,7 @@ def test_migration_refuses_commands_on_the_way(fleet, commanded):
     fleet.network.set_quality("a", "b", Quality(latency_s=0.1))
     a.publish(SYSCTRL, Migrate("Circle"))
     until(fleet, lambda: phase(fleet, "a") is Phase.FROZEN)
-    assert a.ask(commanded, at_most_s=0.09).reason == "a/client/Circle is being handed over between a and b"
+    assert a.ask(commanded, timeout_s=0.09).reason == "a/client/Circle is being handed over between a and b"
     fleet.run_for(2.0)
     assert hosts(fleet) == ["b"]
 

@@ -47,7 +47,7 @@ class Flaky(Sensor):
     def open(self):
         type(self).asked = 0
 
-    def sample(self):
+    def read(self):
         type(self).asked += 1
         value = self.bad(self.asked) if callable(self.bad) else None
         if isinstance(value, Exception):
@@ -65,13 +65,13 @@ class Taker(Actuator):
     def open(self):
         type(self).done = []
 
-    def apply(self, command, ttl_s, source):
+    def write(self, command, ttl_s, source):
         if type(self).fails:
             type(self).fails -= 1
             raise OSError(121, "Remote I/O error")
         self.done.append(command)
 
-    def hold(self):
+    def safe_stop(self):
         self.done.append("hold")
 
 
@@ -187,7 +187,7 @@ def test_a_reading_that_comes_by_itself_and_is_none_is_missed_too(fleet):
             self.context.after(2.0, lambda: self.context.deliver(Temperature(4.0)))
             self.context.after(3.0, lambda: self.context.missed("it stuttered"))
 
-        def sample(self):
+        def read(self):
             return None
 
     agent = fleet.start("a", devices={"chip": Speaking})
@@ -206,7 +206,7 @@ def test_a_sensor_that_falls_silent_is_told_as_silent_until_it_speaks_again(flee
             for time_s in (1.0, 30.0):
                 self.context.after(time_s, lambda: self.context.deliver(Temperature(4.0)))
 
-        def sample(self):
+        def read(self):
             return None
 
         def silent(self):

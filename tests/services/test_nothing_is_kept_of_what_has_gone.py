@@ -101,7 +101,7 @@ def test_half_a_snapshot_of_a_gone_agent_is_not_kept(fleet):
     fleet.run_for(5.0)
     assert kept_by(fleet, b, client) > before + STATE_BYTES // 3
     fleet.crash("a")
-    b.wait_for_event("peer_down", at_most_s=30.0, peer="a")
+    b.wait_for_event("peer_down", timeout_s=30.0, peer="a")
     fleet.run_for(1.0)
     assert kept_by(fleet, b, client) < before + PIECE_BYTES
 

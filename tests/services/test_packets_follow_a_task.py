@@ -6,7 +6,7 @@ from services.numbered import SINK, Moody, Numbered, Picky, Sink, Source, fails,
 from pancakes.control import Describe, Migrate, Restart, Start, Stop
 from pancakes.durable.courier import COURIER, Say
 from pancakes.durable.delivery import Letter
-from pancakes.errors import LocalProtocolError, MailboxFull
+from pancakes.errors import LocalProtocolError, MailboxFullError
 from pancakes.mesh.codec import encode_packet
 from pancakes.mesh.memory_network import Quality
 from pancakes.testing import Fleet, threaded_agent
@@ -62,7 +62,7 @@ class TestOnOneAgent:
         agent = fleet.start("a", tasks={"Sink": {"type": Sink, "start": False}})
         for n in upto(1024):
             agent.publish("system", Numbered(n), to=SINK)
-        with pytest.raises(MailboxFull, match="1024 packets for the task a/Sink"):
+        with pytest.raises(MailboxFullError, match="1024 packets for the task a/Sink"):
             agent.publish("system", Numbered(1025), to=SINK)
         assert agent.ask(Start("Sink")).ok
         fleet.run_for(5.0)

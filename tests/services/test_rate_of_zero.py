@@ -10,7 +10,7 @@ from pancakes.testing import Fleet
 class Meter(Sensor):
     type = "load"
 
-    def sample(self):
+    def read(self):
         return Load(0.5)
 
 

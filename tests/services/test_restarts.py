@@ -25,7 +25,7 @@ class Gauge(Sensor):
     def open(self):
         self.file = Path(self.settings.path).open()  # noqa: SIM115 - closed by `close`
 
-    def sample(self):
+    def read(self):
         return Load(1.0)
 
     def close(self):
@@ -147,7 +147,7 @@ def test_the_pauses_grow_and_a_fault_that_stays_is_given_up(thing, fleet):
     assert it.row()["failures"] == 6 and it.row()["next_try_s"] is None
     kind = "service_failed" if it.kind == "service" else "task_failed"
     stamps = [
-        packet.stamp for packet in it.agent.probe.packets(channel="log") if getattr(packet.body, "kind", "") == kind
+        packet.stamp_s for packet in it.agent.probe.packets(channel="log") if getattr(packet.body, "kind", "") == kind
     ]
     pauses_s = [after - before for before, after in zip(stamps, stamps[1:], strict=False)]
     for found_s, most_s in zip(pauses_s, (0.1, 0.2, 0.4, 0.8, 1.6), strict=True):
@@ -355,7 +355,7 @@ def test_the_same_seed_gives_the_same_pauses(path):
         with Fleet(seed) as fleet:
             agent = fleet.start("a", tasks={"Opener": {"type": Opener, "settings": {"path": str(path)}}}, seed=seed)
             fleet.run_for(30.0)
-            return [(packet.stamp, packet.body) for packet in agent.probe.packets(channel="log")]
+            return [(packet.stamp_s, packet.body) for packet in agent.probe.packets(channel="log")]
 
     assert stamps(1) == stamps(1)
     assert stamps(1) != stamps(2)

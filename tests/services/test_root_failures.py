@@ -80,10 +80,10 @@ class Wheels(Actuator):
 
     type = "motors"
 
-    def apply(self, command, valid_s, source):
+    def write(self, command, valid_s, source):
         pass
 
-    def hold(self):
+    def safe_stop(self):
         self.context.log("info", "stands")
 
 

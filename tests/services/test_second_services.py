@@ -18,7 +18,7 @@ class Gauge(Sensor):
 
     type = "load"
 
-    def sample(self):
+    def read(self):
         return Load(0.25)
 
 
@@ -27,10 +27,10 @@ class Wheels(Actuator):
 
     type = "motors"
 
-    def apply(self, command, valid_s, source):
+    def write(self, command, valid_s, source):
         pass
 
-    def hold(self):
+    def safe_stop(self):
         self.context.log("info", "stands")
 
 

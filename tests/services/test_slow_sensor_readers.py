@@ -11,14 +11,14 @@ class Meter(Sensor):
 
     type = "load"
 
-    def sample(self):
+    def read(self):
         return Load(0.5)
 
 
 class Slow(Task):
     """Wants every reading, and has room for two."""
 
-    @on("system", Load, keep=reliable(2))
+    @on("system", Load, queue=reliable(2))
     def reading(self, packet):
         pass
 

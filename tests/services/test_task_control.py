@@ -59,7 +59,7 @@ class Fragile(Task):
         if self.settings.fail_at_start:
             raise RuntimeError("no luck")
 
-    @on("system", Pose, keep=reliable(50))
+    @on("system", Pose, queue=reliable(50))
     def pose(self, packet):
         if packet.body.x_m < 0:
             raise RuntimeError("negative")

@@ -44,7 +44,7 @@ def speeds(fleet, for_s):
     seen: list[Any] = []
 
     def see(packet):
-        seen.extend((packet.stamp, body.v_mps) for body in packet.body.bodies if body.name == "a")
+        seen.extend((packet.stamp_s, body.v_mps) for body in packet.body.bodies if body.name == "a")
 
     stream = fleet.agents["world"].kernel.stream
     stream.tap("system", see, ("world_state",))
@@ -54,7 +54,7 @@ def speeds(fleet, for_s):
 
 
 def test_its_driver_says_so(fleet):
-    assert fleet.agents["a"].ask(Describe("motors")).result["holds_by_itself_s"] == 0.4
+    assert fleet.agents["a"].ask(Describe("motors")).result["watchdog_s"] == 0.4
 
 
 def test_they_stand_once_the_last_command_of_an_agent_that_is_gone_is_stale(fleet):

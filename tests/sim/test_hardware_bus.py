@@ -73,7 +73,7 @@ def test_a_drive_sends_wheel_speeds_with_their_time_to_live_and_their_source(rig
     rig.open_world()
     drive = opened(DifferentialDrive, Context(rig))
     rig.run(1.0)
-    drive.apply(Twist(0.1, 0.2), 0.5, "agent1/client/ScanTarget")
+    drive.write(Twist(0.1, 0.2), 0.5, "agent1/client/ScanTarget")
     rig.run(0.1)
     (attach,) = rig.asked(hardware_bus.Attach)
     assert (attach.body, attach.type, attach.model) == ("agent1", "motors", "khepera3")
@@ -87,7 +87,7 @@ def test_a_measured_wheel_base_takes_the_place_of_the_models(rig):
     rig.open_world()
     drive = opened(DifferentialDrive, Context(rig), wheel_base_m=0.1)
     rig.run(1.0)
-    drive.apply(Twist(0.0, 1.0), 0.5, "x")
+    drive.write(Twist(0.0, 1.0), 0.5, "x")
     rig.run(0.1)
     assert rig.asked(hardware_bus.Drive)[0].right_mps == pytest.approx(0.05)
 
@@ -96,7 +96,7 @@ def test_hold_is_sent_at_once(rig):
     rig.open_world()
     drive = opened(DifferentialDrive, Context(rig), body="robot7")
     rig.run(1.0)
-    drive.hold()
+    drive.safe_stop()
     rig.run(0.1)
     assert [halt.body for halt in rig.asked(hardware_bus.Halt)] == ["robot7"]
 
@@ -107,7 +107,7 @@ def test_a_sample_is_asked_for_and_delivered_when_it_comes(rig):
     context = Context(rig, device="pose")
     sensor = opened(SimulatedPose, context)
     rig.run(1.0)
-    assert sensor.sample() is None
+    assert sensor.read() is None
     assert context.readings == []
     rig.run(0.1)
     assert context.readings == [Pose(1.0, 2.0, 0.5)]
@@ -119,7 +119,7 @@ def test_one_question_is_under_way_at_a_time(rig):
     sensor = opened(SimulatedPose, context)
     rig.run(1.0)
     for _ in range(3):  # nobody answers
-        sensor.sample()
+        sensor.read()
         rig.run(0.1)
     assert len(rig.asked(hardware_bus.Sample)) == 1
 
@@ -131,13 +131,13 @@ def test_the_battery_tells_how_many_packets_were_sent_and_whether_the_radio_list
     context.packets = 42
     sensor = opened(SimulatedBattery, context)
     rig.run(1.0)
-    sensor.sample()
+    sensor.read()
     rig.run(0.1)
     assert rig.asked(hardware_bus.Sample)[0].packets_sent == 42
     assert rig.asked(hardware_bus.Sample)[0].listening is True
     assert context.readings == [Battery(8.0, 0.8)]
     context.awake = False
-    sensor.sample()
+    sensor.read()
     rig.run(0.1)
     assert rig.asked(hardware_bus.Sample)[1].listening is False
 
@@ -162,7 +162,7 @@ def test_a_refusal_is_said_once(rig):
     sensor = opened(SimulatedInfrared, context)
     for _ in range(3):
         rig.run(0.5)
-        sensor.sample()
+        sensor.read()
     assert [line for line in context.lines if line[0] == "error"] == [
         ("error", "agent1 is a pioneer3dx, which has no infrared sensors")
     ]
@@ -193,19 +193,19 @@ def test_a_world_that_dies_is_said_to_be_gone_and_what_was_asked_is_forgotten(ri
     context = Context(rig, device="pose")
     sensor = opened(SimulatedPose, context)
     rig.run(1.0)
-    sensor.sample()
+    sensor.read()
     rig.world_transport.close()
     rig.run(1.0)
     errors = [text for level, text in context.lines if level == "error"]
     assert len(errors) == 1
     assert errors[0].startswith(f"the world at {ADDRESS} is gone")
-    sensor.sample()
+    sensor.read()
     rig.run(1.0)
 
     rig.requests.clear()
     rig.open_world(rig.network.transport("world"))
     rig.run(3.0)
-    sensor.sample()
+    sensor.read()
     rig.run(0.1)
     assert [type(request) for request in rig.requests] == [hardware_bus.Attach, hardware_bus.Sample]
 
@@ -302,7 +302,7 @@ def test_it_works_over_tcp_as_well():
         sensor = SimulatedPose(context, SimulatedPose.Settings(address))
         sensor.open()
         assert served.wait(10.0), "the attachment did not arrive"
-        sensor.sample()
+        sensor.read()
         assert answered.wait(10.0), "the reading did not come"
         assert context.readings == [Pose(1.0, 2.0, 0.5)]
     finally:

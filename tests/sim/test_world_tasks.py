@@ -43,7 +43,7 @@ class Watcher(Task):
     @on("system", WorldState)
     def state_seen(self, packet):
         self.states.append(packet.body)
-        self.stamps.append(packet.stamp)
+        self.stamps.append(packet.stamp_s)
 
     @on("log", Event)
     def event_seen(self, packet):

@@ -86,8 +86,8 @@ class Fleet:
         met = self.simulation.agents[name].agent.mesh.connected()
         return next(other for other in reversed(self.names) if other != name and other not in met)
 
-    def until(self, condition: Callable[[], bool], what: str, at_most_s: float = 60.0) -> None:
-        for _ in range(round(at_most_s / LOOK_S)):  # to look after each thing that happens would take longer than that
+    def until(self, condition: Callable[[], bool], what: str, timeout_s: float = 60.0) -> None:
+        for _ in range(round(timeout_s / LOOK_S)):  # to look after each thing that happens would take longer than that
             if condition():
                 return
             self.simulation.step(LOOK_S)

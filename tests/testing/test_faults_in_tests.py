@@ -112,7 +112,7 @@ def test_agents_that_are_cut_off_meet_again(fleet, pair):
     assert a.events("peer_down", peer="b")
     assert b.events("peer_down", peer="a")
     fleet.run_until(lambda: fleet.now() > 30.0)
-    fleet.connect(at_most_s=60.0)
+    fleet.connect(timeout_s=60.0)
 
 
 def test_a_cut_without_an_end_ends_with_calm(fleet, pair):

@@ -107,7 +107,7 @@ def test_a_channel_that_is_closed_and_opened_again_is_heard_once(virtual_agent):
 def test_a_wait_that_fails_shows_the_log_as_the_command_line_does(virtual_agent):
     agent = virtual_agent(tasks={"Blink": Blink})
     with pytest.raises(AssertionError) as error:
-        agent.wait_for(Memory, at_most_s=1.0)
+        agent.wait_for(Memory, timeout_s=1.0)
     assert "LogLine(" not in str(error.value)
     assert "Event(" not in str(error.value)
     assert "task_started" in str(error.value)

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 from click.testing import CliRunner
 from soak import __main__ as command
-from soak.agents import Fleet, NotInTime, names_of
+from soak.agents import Fleet, NotInTimeError, names_of
 from soak.judgement import MORE_PIECES, Sample, leaks, lost_pieces, memory_fault, shown, trend
 from soak.vitals import Vitals, vitals_of
 
@@ -47,7 +47,7 @@ def test_soak_exit_code_tells_of_faults(monkeypatch: pytest.MonkeyPatch, tmp_pat
 def test_soak_names_agents_that_end_by_themselves(tmp_path: Path) -> None:
     with Fleet(tmp_path, names_of(2), {"a001": "[task.None]\ntype = 7\n"}) as fleet:
         fleet.start()
-        with pytest.raises(NotInTime, match="a001 ended by itself"):
+        with pytest.raises(NotInTimeError, match="a001 ended by itself"):
             fleet.until(fleet.is_full_mesh, "all meet")
 
 

@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 
 from pancakes.control import Configure, Migrate, Reschedule, Restart, Start, Stop
-from pancakes.errors import ControlRefused
+from pancakes.errors import ControlRefusedError
 from pancakes.tools.web.orders import order_from
 
 TASK = {"agent": "a", "task": "client/T"}
@@ -63,7 +63,7 @@ def test_order_becomes_a_control_packet(message: dict[str, Any], body: Any):
     ],
 )
 def test_invalid_order_is_refused(message: dict[str, Any]):
-    with pytest.raises(ControlRefused, match="the page sent an invalid order"):
+    with pytest.raises(ControlRefusedError, match="the page sent an invalid order"):
         order_from({**TASK, **message})
 
 
@@ -94,7 +94,7 @@ def nested(depth: int) -> Any:
     ],
 )
 def test_oversized_settings_are_refused(settings: dict[str, Any], fault: str):
-    with pytest.raises(ControlRefused, match=f"the page sent an invalid order: {fault}"):
+    with pytest.raises(ControlRefusedError, match=f"the page sent an invalid order: {fault}"):
         order_from({**TASK, "do": "configure", "settings": settings})
 
 
@@ -106,5 +106,5 @@ def test_largest_allowed_settings_are_accepted():
 
 
 def test_invalid_rate_is_refused():
-    with pytest.raises(ControlRefused, match="a rate must lie between 0 and 10,000 ticks a second, not -1"):
+    with pytest.raises(ControlRefusedError, match="a rate must lie between 0 and 10,000 ticks a second, not -1"):
         order_from({**TASK, "do": "rate", "rate_hz": -1})

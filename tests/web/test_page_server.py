@@ -18,7 +18,7 @@ from web.samples import world
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
 from pancakes.control import Migrate, Refusal, Reply
-from pancakes.errors import NoAnswer, PancakesError
+from pancakes.errors import NoAnswerError, PancakesError
 from pancakes.tools.web.feed import Feed
 from pancakes.tools.web.page import Shown, open_page
 from pancakes.tools.web.page_server import MOST_ASIDE, MOST_PAGES, PageServer
@@ -238,7 +238,7 @@ def test_refusal_and_silence_of_an_agent_are_reported(server: PageServer, fleet:
         ask(connection, "hello", token=server.token)
         fleet.answer = Reply(Refusal("unable", "no neighbour can take T"), {"lines": [1]})
         refused = ask(connection, "order", **ORDER)
-        fleet.answer = NoAnswer("a did not answer")
+        fleet.answer = NoAnswerError("a did not answer")
         silent = ask(connection, "order", **ORDER)
     assert (refused["ok"], refused["reason"], refused["result"]) == (False, "no neighbour can take T", {"lines": [1]})
     assert (silent["ok"], silent["reason"]) == (False, "a did not answer")

@@ -9,7 +9,7 @@ import pytest
 from web.page_rig import Fleet, answer_to, ask, page
 
 from pancakes.control import Configure, Describe, Refusal, Reply
-from pancakes.errors import NoAnswer, Unreachable
+from pancakes.errors import NoAnswerError, UnreachableError
 from pancakes.tools.web.page_server import PageServer
 
 SCHEMA = {"type": "object", "properties": {"gain": {"type": "number", "minimum": 0, "default": 1.0}}}
@@ -45,7 +45,7 @@ def test_missing_state_has_a_reason(server: PageServer, fleet: Fleet):
         assert (result["state"], result["no_state"]) == (None, "a/client/T is stopped, not running")
         assert result["settings"][0]["value"] == 2.0
 
-        fleet.looks = {True: NoAnswer("nothing came in time"), False: PLAIN}
+        fleet.looks = {True: NoAnswerError("nothing came in time"), False: PLAIN}
         result = ask(connection, "task", agent="b", task="client/T")["result"]
         assert result["no_state"] == "b/client/T has not told its state within 3 s: it may be busy"
         assert result["settings"][0]["value"] == 2.0
@@ -60,7 +60,7 @@ def test_missing_state_has_a_reason(server: PageServer, fleet: Fleet):
 
 def test_past_states_are_shown(server: PageServer, fleet: Fleet):
     fleet.feed.take_detail("a", WITH_STATE.result)
-    fleet.looks = {True: Unreachable("a cannot be reached")}
+    fleet.looks = {True: UnreachableError("a cannot be reached")}
     with page(server) as connection:
         past = ask(connection, "task", **TASK, t=4.0)["result"]
         before = ask(connection, "task", **TASK, t=0.5)["result"]

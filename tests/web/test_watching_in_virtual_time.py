@@ -12,7 +12,7 @@ import pytest
 
 from pancakes.config import parse
 from pancakes.control import Describe
-from pancakes.errors import ControlRefused, Unreachable
+from pancakes.errors import ControlRefusedError, UnreachableError
 from pancakes.simulation.fleet import Fleet
 from pancakes.tools.web.virtual_watch import VirtualWatch
 from pancakes.tools.web.watch import fleet_among
@@ -89,13 +89,13 @@ def test_virtual_watch_looks_at_tasks_between_turns():
         assert with_state.result["timers"][0]["rate_hz"] == 5.0
         assert [answer.result(0.0).reason for answer in asked[2:4]] == ["a has no task 'device/sonar'"] * 2
         for answer in asked[4:]:
-            with pytest.raises(Unreachable, match="b cannot be reached"):
+            with pytest.raises(UnreachableError, match="b cannot be reached"):
                 answer.result(0.0)
 
         late = watch.look("a", Describe("device/pose"), 3.0)
         watch.end()
         for answer in (late, watch.look("a", Describe("device/pose"), 3.0)):
-            with pytest.raises(Unreachable, match="the mission is over"):
+            with pytest.raises(UnreachableError, match="the mission is over"):
                 answer.result(0.0)
 
 
@@ -121,7 +121,7 @@ def test_watch_needs_a_name_if_there_are_several_fleets():
 
     assert fleet_among(rows[:1]) == "one"
     assert fleet_among(rows, "two") == "two"
-    with pytest.raises(ControlRefused, match="several fleets are running, one, two: choose one with --fleet"):
+    with pytest.raises(ControlRefusedError, match="several fleets are running, one, two: choose one with --fleet"):
         fleet_among(rows)
-    with pytest.raises(Unreachable, match="no agent of the fleet 'three' was found, only of one, two"):
+    with pytest.raises(UnreachableError, match="no agent of the fleet 'three' was found, only of one, two"):
         fleet_among(rows, "three")

@@ -12,7 +12,7 @@ import pytest
 from cli.processes import Rig
 
 from pancakes.control import Reschedule, Stop
-from pancakes.errors import Unreachable
+from pancakes.errors import UnreachableError
 from pancakes.tools.web.feed import Feed
 from pancakes.tools.web.watch import Watch
 
@@ -169,7 +169,7 @@ def test_watch_passes_orders_on(rig: Rig, seen: Seen, watch: Watch):
     assert any(it["kind"] == "rate_changed" and it["task"] == "load" for it in frame["events"])
     refused = watch.order("a", Stop("client/Nobody"), PATIENCE_S).result(PATIENCE_S)
     assert not refused.ok and "Nobody" in refused.reason
-    with pytest.raises(Unreachable, match="b cannot be reached"):
+    with pytest.raises(UnreachableError, match="b cannot be reached"):
         watch.order("b", Stop("client/T"), PATIENCE_S).result(PATIENCE_S)
 
 
@@ -206,5 +206,5 @@ def test_watch_that_has_ended_asks_nobody(rig: Rig, seen: Seen, watch: Watch):
     seen.wait(lambda it: "agent/a" in it["set"])
     watch.close()
 
-    with pytest.raises(Unreachable, match="its agents no longer answer"):
+    with pytest.raises(UnreachableError, match="its agents no longer answer"):
         watch.order("a", Stop("device/load"), PATIENCE_S).result(PATIENCE_S)

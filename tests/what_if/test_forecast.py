@@ -14,7 +14,7 @@ from pancakes.tools.forecast import (
     MeasuredHost,
     MeasuredTask,
     MeasuredTimer,
-    NotKnown,
+    UnknownForecastError,
     forecast_move,
     forecast_rate,
     forecast_without,
@@ -159,12 +159,12 @@ def test_an_agent_that_goes_leaves_its_tasks_to_others_and_some_end():
 )
 def test_what_is_not_known_is_said(ask, sentence: str):
     fleet = [agent("a", task("T", 0.02), task("S", 0.02, hz=0.1, state="stopped")), agent("b")]
-    with pytest.raises(NotKnown, match=sentence):
+    with pytest.raises(UnknownForecastError, match=sentence):
         ask(fleet)
 
 
 def test_two_of_one_name_are_asked_for_by_their_service():
     fleet = [agent("a", task("T", 0.02), task("T", 0.01, service="other")), agent("b")]
-    with pytest.raises(NotKnown, match="in client and in other: name the service"):
+    with pytest.raises(UnknownForecastError, match="in client and in other: name the service"):
         forecast_move(fleet, "a", "T", "b")
     assert near(forecast_move(fleet, "a", "T", "b", "other").of("b").load_after, 0.1)

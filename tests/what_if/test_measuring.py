@@ -48,7 +48,7 @@ class Idle(Task):
 
 
 def measured(agent, for_s: float = 0.5) -> MeasuredAgent:
-    reply = agent.ask(Measure(for_s), at_most_s=30.0)
+    reply = agent.ask(Measure(for_s), timeout_s=30.0)
     assert reply.ok, reply.reason
     return codecs.convert(reply.result, MeasuredAgent)
 

@@ -21,7 +21,7 @@ from benchmarks.local_agent import local_agent
 
 from pancakes.devices import Pose
 from pancakes.packet import Packet
-from pancakes.task import Task, Tick, every, on, queue
+from pancakes.task import Task, Tick, every, on
 
 TITLE = "the processor time of single steps"
 DELIVERIES = 50_000
@@ -66,7 +66,7 @@ class Taking(Task):
     def on_start(self) -> None:
         self.count = 0
 
-    @on("bench", Pose, keep=queue(1024))
+    @on("bench", Pose, queue=1024)
     def take(self, packet: Packet) -> None:
         """Counts one packet."""
         self.count += 1

@@ -22,7 +22,7 @@ from pancakes.agent.agent import Agent
 from pancakes.devices import Pose
 from pancakes.devices.driver import Sensor
 from pancakes.packet import SYSTEM, Packet
-from pancakes.task import Task, Tick, every, on, queue
+from pancakes.task import Task, Tick, every, on
 
 TITLE = "a channel to its subscribers"
 SUBSCRIBERS: tuple[tuple[int, float | None, float | None], ...] = ((1, 0.20, None), (10, None, None), (100, 0.12, 0.06))
@@ -86,7 +86,7 @@ class Subscriber(Task):
         self.heard_s: list[float] = []
 
     # Room for all: where the system takes a worker's core away meanwhile, the others run far ahead of its subscriber.
-    @on("bench", Pose, keep=queue(DELIVERIES))
+    @on("bench", Pose, queue=DELIVERIES)
     def take(self, packet: Packet) -> None:
         """Counts one packet."""
         self.count += 1
@@ -104,7 +104,7 @@ class Subscriber(Task):
 class Reader(Subscriber):
     """Counts readings of a device."""
 
-    @on(SYSTEM, Pose, keep=queue(DELIVERIES))
+    @on(SYSTEM, Pose, queue=DELIVERIES)
     def take(self, packet: Packet) -> None:
         """Counts one reading."""
         super().take(packet)
@@ -130,7 +130,7 @@ class Stream(Sensor):
     def receive(self, packet: Packet) -> None:
         self._thread.start()
 
-    def sample(self) -> None:
+    def read(self) -> None:
         """Brings nothing: readings come from the thread."""
 
     def _listen(self) -> None:

@@ -20,7 +20,7 @@ import psutil
 from benchmarks.agent_process import agent_process, offer_tasks
 from benchmarks.figure import Figure, Plan, in_turns
 
-from pancakes.client import Client, Where
+from pancakes.client import Client, Target
 from pancakes.control import Guarding
 from pancakes.task import Task, Tick, every
 
@@ -76,7 +76,7 @@ def _run(tasks: int, guard: str) -> list[float]:
             started = agent_process(_config(name, directory) + own, directory, environment, until_ready=True)
             processes.append(psutil.Process(held.enter_context(started).pid))
         addresses = tuple(f"local://{directory}/{name}" for name in AGENTS)
-        with Client(Where(addresses), 5.0) as client:
+        with Client(Target(addresses), 5.0) as client:
             if guard:
                 _wait_for_guardians(client, tasks)
             told_at, told = time.monotonic(), _told(client)
@@ -122,7 +122,7 @@ def _used(processes: list[psutil.Process]) -> float:
 
 def _told(client: Client) -> tuple[float, float, float]:
     """Returns what all agents have written, how often they have waited for the disk, and what went over links."""
-    agents = client.survey().agents
+    agents = client.describe().agents
     peers = [peer for agent in agents for peer in agent["mesh"]["peers"] if peer["name"] in AGENTS]
     disks = [agent["disk"] for agent in agents]
     return (

@@ -17,7 +17,7 @@ from benchmarks.figure import Figure, Plan, in_turns
 from torture.gap import NAMES, commands_heard, gaps_in, move_to_and_fro, pilot_on_left
 from torture.live import LiveFleet
 
-from pancakes.client import Client, Where
+from pancakes.client import Client, Target
 from pancakes.control import Describe, Guarding
 
 TITLE = "the gap in control while a task moves: guarded, beside unguarded"
@@ -44,7 +44,7 @@ def _run(moves: int, guardians: int) -> list[float]:
         try:
             for name in fleet.names:
                 fleet.start(name, wait=True)
-            with Client(Where(tuple(fleet.addresses.values()), "torture"), 10.0) as client:
+            with Client(Target(tuple(fleet.addresses.values()), "torture"), 10.0) as client:
                 _wait(client, guardians)
                 refused = [it.refused for it in move_to_and_fro(client, moves) if it.refused]
                 if refused:

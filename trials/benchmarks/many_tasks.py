@@ -67,7 +67,7 @@ class Small(Task):
         """Counts one packet."""
         self.state.heard += 1
 
-    @on(SYSTEM, Pose, keep="latest")
+    @on(SYSTEM, Pose, queue="latest")
     def steer(self, packet: Packet) -> None:
         """Takes a pose."""
 

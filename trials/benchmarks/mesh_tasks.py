@@ -13,10 +13,10 @@ from typing import Any
 
 import msgspec
 
-from pancakes.errors import MailboxFull
+from pancakes.errors import MailboxFullError
 from pancakes.events import Event
 from pancakes.packet import NEIGHBOURS, Packet, packet_type
-from pancakes.task import Task, Tick, every, on, queue
+from pancakes.task import Task, Tick, every, on
 
 WINDOW = 16_384
 WINDOW_BYTES = 4 * 1024 * 1024
@@ -88,7 +88,7 @@ class Far(Task):
         """Sends a ping back."""
         self.publish("bench", Pong(packet.body.number, packet.body.data), to=packet.source)
 
-    @on("load", Load, keep=queue(2 * WINDOW))
+    @on("load", Load, queue=2 * WINDOW)
     def take(self, packet: Packet) -> None:
         """Counts one packet."""
         self.count = count = self.count + 1
@@ -151,7 +151,7 @@ class Near(Task):
         for number in range(self.sent, self.sent + room):
             try:
                 publish("load", Load(number if number + 1 < packets else -1, data), to=FAR)
-            except MailboxFull:
+            except MailboxFullError:
                 self.sent = number
                 self.after_host(0.001, self.flood)
                 return
@@ -263,7 +263,7 @@ class Member(Task):
         while self.sent < last:
             try:
                 publish("load", Load(number, data), to=to[place])
-            except MailboxFull:
+            except MailboxFullError:
                 self.after_host(0.001, self.flood)
                 return
             self.sent += 1
@@ -273,7 +273,7 @@ class Member(Task):
         if self.sent < self.to_send and room > BURST:
             self.call(self.flood)
 
-    @on("load", Load, keep=queue(2 * MOST_SENDERS * CROWD_WINDOW))
+    @on("load", Load, queue=2 * MOST_SENDERS * CROWD_WINDOW)
     def take(self, packet: Packet) -> None:
         """Counts one packet of another member."""
         source, count = packet.source, packet.body.number + 1

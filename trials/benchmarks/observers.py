@@ -36,7 +36,7 @@ import psutil
 from benchmarks.agent_process import listening_at, offer_tasks, ready_process
 from benchmarks.figure import Figure, Plan
 
-from pancakes.client import Client, Where
+from pancakes.client import Client, Target
 from pancakes.control import Begin, Configure, Describe, Start, Stop
 from pancakes.tools.launch.ports import claim_ports
 from pancakes.tools.web.feed import Feed
@@ -245,7 +245,7 @@ def running_demo(fleet: str) -> Iterator[Demo]:
             command += [part for one in sets for part in ("--set", one)]
             processes[agent] = stack.enter_context(ready_process(command, environment))
         address = listening_at(environment, "world", processes["world"])
-        client = stack.enter_context(Client(Where((address,), fleet), READY_S))
+        client = stack.enter_context(Client(Target((address,), fleet), READY_S))
         for agent in AGENTS:
             client.request(agent, Begin(0.5), READY_S)
         demo = Demo(directory, client, processes)
@@ -270,7 +270,7 @@ def recorded(demo: Demo) -> Iterator[None]:
 def watched(demo: Demo) -> Iterator[None]:
     """A page is open: what a page shows is followed, whoever looks at it and however fast."""
     begun_s = time.monotonic()
-    addresses = [demo.client.survey().agents[0]["listen"][0]]
+    addresses = [demo.client.describe().agents[0]["listen"][0]]
     watch = Watch(Feed(lambda: time.monotonic() - begun_s), addresses)
     watch.start()
     time.sleep(PAGE_SETTLE_S)

@@ -14,7 +14,7 @@ from functools import partial
 from pathlib import Path
 
 from benchmarks.figure import Figure, Plan
-from soak.agents import Fleet, NotInTime, names_of
+from soak.agents import Fleet, NotInTimeError, names_of
 from soak.tasks import TALK
 from soak.vitals import processor_s, vitals_of
 from zenoh_links.routers import Router
@@ -94,7 +94,7 @@ def measure(plan: Plan) -> Iterator[Figure]:
         finally:
             router.end()
     if len(heard) < len(hearers):
-        raise NotInTime(f"only {len(heard)} of {len(hearers)} speakers were heard")
+        raise NotInTimeError(f"only {len(heard)} of {len(hearers)} speakers were heard")
     lost.runs.append(float(sum(last - count for last, count in heard.values())))
     p50.runs.append(1000 * way_s[len(way_s) // 2])
     p99.runs.append(1000 * way_s[len(way_s) * 99 // 100])

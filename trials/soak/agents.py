@@ -14,7 +14,7 @@ from typing import Final
 
 from keys_in_test import KeysInTest
 
-from pancakes.client import Client, Where
+from pancakes.client import Client, Target
 from pancakes.tools.launch.process import ForkedProcess, ForkServer
 
 CONNECTED: Final = " is connected"
@@ -36,7 +36,7 @@ soak = soak.tasks
 """
 
 
-class NotInTime(Exception):
+class NotInTimeError(Exception):
     """Something did not happen in time; the sentence says what."""
 
 
@@ -196,7 +196,7 @@ class Fleet:
         """Wait until a condition on the logs holds; return how long it took, in seconds.
 
         Raises:
-            NotInTime: it does not hold within `within_s` seconds, or an agent has ended by itself.
+            NotInTimeError: it does not hold within `within_s` seconds, or an agent has ended by itself.
         """
         began_s = time.monotonic()
         while True:
@@ -204,10 +204,14 @@ class Fleet:
             if condition():
                 return time.monotonic() - began_s
             if self.dead():
-                raise NotInTime(f"{what}: {', '.join(self.dead())} ended by itself; {self.last_words(self.dead()[0])}")
+                raise NotInTimeError(
+                    f"{what}: {', '.join(self.dead())} ended by itself; {self.last_words(self.dead()[0])}"
+                )
             if time.monotonic() - began_s > within_s:
                 ended = "; ".join(f"{agent} lost {peer}: {reason}" for agent, peer, reason in self.ended_links())
-                raise NotInTime(f"{what}: not within {within_s:g} s; {self.missing()}; {ended or 'no link has ended'}")
+                raise NotInTimeError(
+                    f"{what}: not within {within_s:g} s; {self.missing()}; {ended or 'no link has ended'}"
+                )
             time.sleep(LOOK_S)
 
     def alive(self) -> list[AgentProcess]:
@@ -253,8 +257,8 @@ def bytes_sent(fleet: Fleet) -> tuple[int, float]:
     Returns:
         The sum, without the headers of TCP and IP, and the time of the question.
     """
-    with Client(Where(tuple(agent.address for agent in fleet.alive()), "soak"), PATIENCE_S) as client:
-        rows = client.survey().agents
+    with Client(Target(tuple(agent.address for agent in fleet.alive()), "soak"), PATIENCE_S) as client:
+        rows = client.describe().agents
         peers = [peer for row in rows for peer in row["mesh"]["peers"] if peer["role"] != "client"]
         return sum(peer["bytes_out"] for peer in peers), time.monotonic()
 

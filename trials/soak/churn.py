@@ -11,12 +11,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
-from soak.agents import Fleet, NotInTime
+from soak.agents import Fleet, NotInTimeError
 from soak.judgement import Sample, Trend, leaks, lost_pieces, memory_fault
 from soak.tasks import SWEPT_S
 from soak.vitals import vitals_of
 
-from pancakes.client import Client, Where
+from pancakes.client import Client, Target
 from pancakes.control import Configure, Follow, Migrate, Reschedule, Restart, Start, Stop, Unfollow
 from pancakes.errors import PancakesError
 
@@ -110,7 +110,7 @@ class Churn:
         with self.fleet:
             try:
                 self._run(duration_s, warm_up_s)
-            except NotInTime as error:
+            except NotInTimeError as error:
                 self.outcome.faults.append(str(error))
         return self.outcome
 
@@ -148,7 +148,7 @@ class Churn:
                 self._ask_for_something()
                 self._sample()
                 if self.fleet.dead():
-                    raise NotInTime(f"{', '.join(self.fleet.dead())} ended by itself")
+                    raise NotInTimeError(f"{', '.join(self.fleet.dead())} ended by itself")
                 time.sleep(self.random.expovariate(1 / PAUSE_S))
 
     def _kill_and_raise(self, now_s: float) -> None:
@@ -194,7 +194,7 @@ class Churn:
             case "look":
                 # A new terminal, whose client has a new name.
                 self.outcome.counts["look"] += 1
-                with Client(Where(tuple(self._addresses()), "soak"), 2.0) as client:
+                with Client(Target(tuple(self._addresses()), "soak"), 2.0) as client:
                     self._survey(client)
 
     def _ask(self, kind: str, agent: str, body: Any) -> None:
@@ -215,7 +215,7 @@ class Churn:
 
     @contextmanager
     def _asking(self) -> Iterator[None]:
-        with Client(Where(tuple(self._addresses()), "soak"), 3.0) as client:
+        with Client(Target(tuple(self._addresses()), "soak"), 3.0) as client:
             self._client = client
             try:
                 yield
@@ -228,7 +228,7 @@ class Churn:
     def _survey(self, client: Client) -> dict[str, list[str]]:
         """Return the tasks that run on each agent that answers, and remember them."""
         try:
-            rows = client.survey().agents
+            rows = client.describe().agents
         except PancakesError:
             return {}
         self._seen = {
@@ -284,7 +284,9 @@ class Churn:
                         break
                 if time.monotonic() - began_s > SETTLES_WITHIN_S:
                     wrong = {task: copies[task] for task in self.born if copies[task] != 1}
-                    raise NotInTime(f"not each task once and at home within {SETTLES_WITHIN_S:g} s: {wrong or seen}")
+                    raise NotInTimeError(
+                        f"not each task once and at home within {SETTLES_WITHIN_S:g} s: {wrong or seen}"
+                    )
                 time.sleep(0.2)
         # An agent gives back temporary things (threads, links of a closed terminal) within seconds, so the least of
         # several samples counts.

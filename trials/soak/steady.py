@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
-from soak.agents import Fleet, NotInTime, bytes_sent, names_of
+from soak.agents import Fleet, NotInTimeError, bytes_sent, names_of
 from soak.vitals import processor_s, vitals_of
 
 STARTS_WITHIN_S: Final = 60.0
@@ -59,7 +59,7 @@ def run(directory: Path, agents: int, duration_s: float, say: Callable[[str], No
             if outcome.met_s > MEETS_WITHIN_S:
                 outcome.faults.append(f"all were connected only after {outcome.met_s:.1f} s, not {MEETS_WITHIN_S:g} s")
             _watch(fleet, duration_s, outcome, say)
-        except NotInTime as error:
+        except NotInTimeError as error:
             outcome.faults.append(str(error))
         outcome.faults += [f"{agent} lost {peer}: {reason}" for agent, peer, reason in fleet.ended_links()]
     return outcome
@@ -73,7 +73,7 @@ def _watch(fleet: Fleet, duration_s: float, outcome: Outcome, say: Callable[[str
     while (now_s := time.monotonic()) - began_s < duration_s:
         fleet.read()
         if fleet.dead():
-            raise NotInTime(f"{', '.join(fleet.dead())} ended by itself")
+            raise NotInTimeError(f"{', '.join(fleet.dead())} ended by itself")
         if now_s - said_s >= 60.0:
             said_s = now_s
             say(f"{now_s - began_s:.0f} s: {len(list(fleet.ended_links()))} links have ended; {fleet.missing()}")

@@ -10,7 +10,7 @@ import time
 from dataclasses import dataclass
 from typing import Any
 
-from pancakes.errors import MailboxFull
+from pancakes.errors import MailboxFullError
 from pancakes.packet import NEIGHBOURS, SYSTEM, Packet, join, packet_type
 from pancakes.supervision.task_core import TaskCore
 from pancakes.task import Task, Tick, every, on, reliable
@@ -97,7 +97,7 @@ class Listener(Task):
     def on_stop(self) -> None:
         os.close(self._file)
 
-    @on(TALK, Said, keep=reliable(1024), addressed=True)
+    @on(TALK, Said, queue=reliable(1024), addressed=True)
     def hear(self, packet: Packet) -> None:
         """Log a packet."""
         took_s = time.monotonic() - packet.body.at_s
@@ -136,7 +136,7 @@ class Passing(Task):
         if self.state.beats % 20 == 0:
             self.event("soak_beats", count=self.state.beats)
 
-    @on(SYSTEM, Beat, keep="latest")
+    @on(SYSTEM, Beat, queue="latest")
     def hear(self, packet: Packet) -> None:
         """Count the packets of others."""
         self.state.heard += 1
@@ -199,11 +199,11 @@ class Worker(TaskCore, Passing):
         """Send a letter to another task."""
         try:
             self.publish(SYSTEM, Word(self.state.sent + 1), to=f"task:{self.settings.friend}")
-        except MailboxFull:
+        except MailboxFullError:
             return  # too many letters wait for a dead agent: this one is not sent, so not counted
         self.state.sent += 1
 
-    @on(SYSTEM, Word, keep=reliable(256))
+    @on(SYSTEM, Word, queue=reliable(256))
     def hear(self, packet: Packet) -> None:
         """Count the letters that arrive."""
         self.state.words += 1

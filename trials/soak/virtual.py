@@ -132,6 +132,6 @@ def _watch(agent: Agent, outcome: Outcome) -> Callable[[Packet], None]:
         elif body.kind == "peer_down":
             outcome.links -= 1
             fields = body.fields
-            outcome.faults.append(f"{packet.stamp:.3f} s: {agent.name} lost {fields['peer']}: {fields['reason']}")
+            outcome.faults.append(f"{packet.stamp_s:.3f} s: {agent.name} lost {fields['peer']}: {fields['reason']}")
 
     return hear

@@ -24,7 +24,7 @@ from torture.standstill_command import standstill
 from torture.storm_command import storms
 from torture.takeover_command import takeovers
 
-from pancakes.util.plugins import Plugins, UnknownPlugin
+from pancakes.util.plugins import Plugins, UnknownPluginError
 
 
 @click.group()
@@ -52,7 +52,7 @@ def missions(
     """Run whole missions in virtual time, one per seed; the exit code is 0 only if all of them PASS."""
     try:
         Plugins().get("pancakes.demos", demo)
-    except UnknownPlugin as error:
+    except UnknownPluginError as error:
         raise click.BadParameter(str(error), param_hint="--demo") from None
     failed: dict[int, list[str]] = {}
     figures: dict[str, list[float]] = {}

@@ -14,7 +14,7 @@ from torture.grounds import Cuttable, Survey, by_proxy
 from torture.live import LiveFleet
 from torture.waits import Waits
 
-from pancakes.client import Client, Where
+from pancakes.client import Client, Target
 from pancakes.control import Describe, Migrate
 from pancakes.errors import PancakesError
 
@@ -122,7 +122,7 @@ class Cutter:
         faults: list[str] = []
         for name in fleet.names:
             fleet.start(name, wait=True)
-        with Client(Where((fleet.addresses["source"],), "torture"), 10.0) as client:
+        with Client(Target((fleet.addresses["source"],), "torture"), 10.0) as client:
             wait_for_both(client, "source", "destination")
             link.cut_at(f"migration.{step}")
             asking = threading.Thread(target=_ask, args=(client,), daemon=True)

@@ -13,7 +13,7 @@ from typing import NamedTuple
 from torture.cuts import wait_for_both
 from torture.grounds import Survey, on_loopback
 
-from pancakes.client import Client, Where
+from pancakes.client import Client, Target
 from pancakes.control import Migrate
 
 NAMES = ("left", "right")
@@ -57,7 +57,7 @@ def measure(state_bytes: int, moves: int, survey: Survey = on_loopback, move_s: 
         try:
             for agent in NAMES:
                 fleet.start(agent, wait=True)
-            with Client(Where(tuple(fleet.addresses.values()), "torture"), move_s) as client:
+            with Client(Target(tuple(fleet.addresses.values()), "torture"), move_s) as client:
                 wait_for_both(client, *NAMES)
                 attempts = move_to_and_fro(client, moves)
         finally:

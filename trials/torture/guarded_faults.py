@@ -25,7 +25,7 @@ from torture.strokes import DISKS, FOR_GOOD, KILLS, KINDS, LOSSES, Stroke, Strok
 from torture.takeover_tally import Heard, TakeoverTally, Trace, Traces
 from torture.waits import Waits
 
-from pancakes.client import Client, Where
+from pancakes.client import Client, Target
 from pancakes.control import Guarding, Migrate
 from pancakes.errors import PancakesError
 
@@ -272,7 +272,7 @@ class GuardedFleet:
         """Return the reports of the running agents on the task that they guard."""
         rows: list[dict[str, Any]] = []
         names = (*self._up(), TELLER)
-        with Client(Where(tuple(self._fleet.addresses[name] for name in names), "torture"), 2.0) as client:
+        with Client(Target(tuple(self._fleet.addresses[name] for name in names), "torture"), 2.0) as client:
             for name in names:
                 try:
                     rows += client.request(name, Guarding()).result
@@ -294,7 +294,7 @@ class GuardedFleet:
         return len(owner["guardians"]) == 3 and set(owner["guardians"]) <= held
 
     def _move(self, owner: str) -> None:
-        with Client(Where(tuple(self._fleet.addresses[name] for name in NAMES), "torture"), 0.2) as client:
+        with Client(Target(tuple(self._fleet.addresses[name] for name in NAMES), "torture"), 0.2) as client:
             try:
                 client.request(owner, Migrate("client/One"))
             except PancakesError:  # the answer is late, or the task has just migrated

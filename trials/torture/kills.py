@@ -25,7 +25,7 @@ from torture.tally import Tally, total
 from torture.traps import Field, Trap
 from torture.waits import Waits
 
-from pancakes.client import Client, Where
+from pancakes.client import Client, Target
 from pancakes.control import Migrate
 from pancakes.durable.record import TaskId
 from pancakes.errors import PancakesError
@@ -63,7 +63,7 @@ class _Mover(threading.Thread):
         self.asked = 0
 
     def run(self) -> None:
-        with Client(Where(tuple(self._fleet.addresses.values()), "torture"), 2.0) as client:
+        with Client(Target(tuple(self._fleet.addresses.values()), "torture"), 2.0) as client:
             while not self.ended.is_set():
                 if self._calm.is_set():
                     self.resting.set()

@@ -90,11 +90,11 @@ class Recorder(Actuator):
     def open(self):
         self.write = book("commands")
 
-    def apply(self, command, ttl_s, source):
+    def write(self, command, ttl_s, source):
         time.sleep(0.0015)
         self.write(int(command.omega_radps))
 
-    def hold(self):
+    def safe_stop(self):
         pass
 
 

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 
 from pancakes.devices.driver import Actuator
 from pancakes.devices import Twist
-from pancakes.errors import MailboxFull
+from pancakes.errors import MailboxFullError
 from pancakes.packet import packet_type
 from pancakes.supervision.task_core import TaskCore
 from pancakes.task import Task, every, on, reliable
@@ -105,7 +105,7 @@ class Holder(TaskCore, Task):
         self.state.n += 1
         os.write(self.count, f"{self.state.n} {self.fence_n} {self.agent} {os.getpid()}\\n".encode())
 
-    @on("system", Count, keep=reliable(256))
+    @on("system", Count, queue=reliable(256))
     def hear(self, packet):
         self.say("heard", f"{packet.body.n} {self.state.heard}")
         self.state.heard = packet.body.n
@@ -127,7 +127,7 @@ class Teller(Task):
         for task, n in self.told.items():
             try:
                 self.publish("system", Count(n + 1), to=f"task:{task}")
-            except MailboxFull:
+            except MailboxFullError:
                 continue  # too many packets wait: this one is not sent, so not counted
             self.told[task] = n + 1
             with open(os.path.join(self.settings.directory, f"{task.split('/')[1]}.told"), "w") as out:
@@ -167,7 +167,7 @@ class Sentry(Task):
         os.write(self.count, f"{self.state.n} {self.fence_n} {self.agent} {time.monotonic_ns()}\\n".encode())
         self.publish("ctrl", Twist(float(self.fence_n), float(self.state.n)))
 
-    @on("system", Count, keep=reliable(256))
+    @on("system", Count, queue=reliable(256))
     def hear(self, packet):
         os.write(self.ears, f"{packet.body.n} {self.state.heard}\\n".encode())
         self.state.heard = packet.body.n
@@ -212,17 +212,17 @@ class Recorder(Actuator):
     def close(self):
         os.close(self.out)
 
-    def apply(self, command, ttl_s, source):
+    def write(self, command, ttl_s, source):
         os.write(self.out, f"{time.monotonic_ns()} {source}\\n".encode())
 
-    def hold(self):
+    def safe_stop(self):
         pass
 
 
 class Tracer(Recorder):
     """Wheels that log the commands of a `Sentry`: its count and its epoch, the agent, and the time."""
 
-    def apply(self, command, ttl_s, source):
+    def write(self, command, ttl_s, source):
         count, epoch = int(command.omega_radps), int(command.v_mps)
         os.write(self.out, f"{count} {epoch} {self.context.agent} {time.monotonic_ns()}\\n".encode())
 '''

@@ -12,7 +12,7 @@ from cli.processes import INSECURE, READY, Rig, Running
 from torture import load_tasks
 from torture.live import free_ports
 
-from pancakes.client import Client, Where
+from pancakes.client import Client, Target
 from pancakes.control import Configure
 
 ENTRY_POINTS = "[pancakes.packets]\nload = plugin_load\n\n[pancakes.tasks]\n" + "".join(
@@ -64,7 +64,7 @@ class LoadedFleet:
                 self.start(name)
             for running in self.running.values():
                 running.hear(READY)
-            self.client = Client(Where(tuple(self.addresses.values()), "load"), timeout_s=PATIENCE_S)
+            self.client = Client(Target(tuple(self.addresses.values()), "load"), timeout_s=PATIENCE_S)
         except BaseException:  # the caller has no object yet that it could close
             self.rig.close()
             raise
@@ -119,12 +119,12 @@ class LoadedFleet:
                 return int(line.split()[1]) * 1024
         raise AssertionError(f"{agent} has no memory: it has ended")
 
-    def wait(self, condition: Callable[[], Any], what: str, at_most_s: float = PATIENCE_S) -> float:
+    def wait(self, condition: Callable[[], Any], what: str, timeout_s: float = PATIENCE_S) -> float:
         """Wait until a condition holds; return how long it took, in seconds."""
         began_s = time.monotonic()
         while not condition():
             took_s = time.monotonic() - began_s
-            assert took_s < at_most_s, f"{what}: not within {at_most_s:g} s"
+            assert took_s < timeout_s, f"{what}: not within {timeout_s:g} s"
             self.client.wait(lambda: False, 0.02)
         return time.monotonic() - began_s
 

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from pancakes.control import Describe, Reply
-from pancakes.errors import LocalProtocolError, MailboxFull
+from pancakes.errors import LocalProtocolError, MailboxFullError
 from pancakes.packet import Packet, packet_type
-from pancakes.task import Task, Tick, every, on, queue, reliable
+from pancakes.task import Task, Tick, every, on, reliable
 
 REPORT_HZ = 10
 
@@ -99,7 +99,7 @@ class Flood(Telling):
             try:
                 body = Mark(number) if number % 8 == 0 else Blob(number, bytes(settings.size))
                 self.publish(settings.channel, body, to=settings.to)
-            except MailboxFull:
+            except MailboxFullError:
                 self.refused += 1
                 return
             except LocalProtocolError:
@@ -145,12 +145,12 @@ class Reader(Telling):
 class QueueReader(Reader):
     """A reader with queues of 256 for each type."""
 
-    @on("load", Blob, keep=queue(256))
+    @on("load", Blob, queue=256)
     def on_blob(self, packet: Packet) -> None:
         """Take a blob."""
         self.take(packet)
 
-    @on("load", Mark, keep=queue(256))
+    @on("load", Mark, queue=256)
     def on_mark(self, packet: Packet) -> None:
         """Take a mark."""
         self.take(packet)
@@ -159,12 +159,12 @@ class QueueReader(Reader):
 class ReliableReader(Reader):
     """A reader with reliable queues: if there is no room, the publisher gets an error."""
 
-    @on("load", Blob, keep=reliable(256))
+    @on("load", Blob, queue=reliable(256))
     def on_blob(self, packet: Packet) -> None:
         """Take a blob."""
         self.take(packet)
 
-    @on("load", Mark, keep=reliable(256))
+    @on("load", Mark, queue=reliable(256))
     def on_mark(self, packet: Packet) -> None:
         """Take a mark."""
         self.take(packet)
@@ -173,12 +173,12 @@ class ReliableReader(Reader):
 class SystemReader(Reader):
     """Reads what other agents publish on `system`."""
 
-    @on("system", Blob, keep=queue(256))
+    @on("system", Blob, queue=256)
     def on_blob(self, packet: Packet) -> None:
         """Take a blob."""
         self.take(packet)
 
-    @on("system", Mark, keep=queue(256))
+    @on("system", Mark, queue=256)
     def on_mark(self, packet: Packet) -> None:
         """Take a mark."""
         self.take(packet)
@@ -217,7 +217,7 @@ class Asker(Telling):
         """Ask for a description of the other agent's `Pulse`."""
         try:
             packet = self.publish("sysctrl", Describe("client/Pulse"), to=self.settings.to)
-        except MailboxFull:
+        except MailboxFullError:
             self.tell(refused=True)
             return
         self.asked[packet.seq] = time.monotonic()
@@ -243,7 +243,7 @@ class Pinger(Telling):
         """Send a ping."""
         try:
             self.publish("load", Ping(time.monotonic()), to=self.settings.to)
-        except MailboxFull:
+        except MailboxFullError:
             self.tell(refused=True)
 
     @on("load", Pong, addressed=True)

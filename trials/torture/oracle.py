@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 
 from pancakes.durable.record import Epoch, Record
 from pancakes.durable.snapshot import Snapshot
-from pancakes.errors import MailboxFull
+from pancakes.errors import MailboxFullError
 from pancakes.kernel.actor import core_of
 from pancakes.packet import SYSTEM, Packet, packet_type, task_address
 from pancakes.task import Task, every, on
@@ -162,7 +162,7 @@ class Roamer(Task):
             return
         try:
             self.publish(SYSTEM, Note(self.copy, self.written + 1), to=task_address(PARTNERS[self.name]))
-        except MailboxFull:
+        except MailboxFullError:
             return  # its partner has been away for long
         self.written += 1
 

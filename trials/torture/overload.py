@@ -11,7 +11,7 @@ from typing import Final, NamedTuple
 
 from torture.load_fleet import PATIENCE_S, LoadedFleet, Tasks
 
-from pancakes.client import Client, Where
+from pancakes.client import Client, Target
 from pancakes.control import Describe
 
 TIMES: Final = 10
@@ -188,7 +188,7 @@ def watching(fleet: LoadedFleet, agents: list[str]) -> Iterator[tuple[list[float
     over = threading.Event()
 
     def watch() -> None:
-        with Client(Where(tuple(fleet.addresses.values()), "load")) as client:
+        with Client(Target(tuple(fleet.addresses.values()), "load")) as client:
             for name in agents:
                 client.request(name, Describe("client/Pulse"))  # opens the connection
             while not over.wait(0.02):

@@ -13,7 +13,7 @@ import click
 
 from pancakes.client import Client
 from pancakes.control import Describe, Reply, Reschedule
-from pancakes.errors import ControlRefused
+from pancakes.errors import ControlRefusedError
 from pancakes.tools.cli.options import Ask, ServiceName, TaskName
 from pancakes.tools.cli.output import DRY_RUN, show_text
 from pancakes.util.text import did_you_mean
@@ -31,7 +31,7 @@ def survey(ask: Ask, *agents: str) -> list[dict[str, Any]]:
         agents: only these; empty strings are ignored, so that an omitted argument can be passed on.
 
     Raises:
-        Unreachable: no agent answers, or a named agent does not exist.
+        UnreachableError: no agent answers, or a named agent does not exist.
     """
     with ask.client() as client:
         return survey_with(client, *agents)
@@ -39,7 +39,7 @@ def survey(ask: Ask, *agents: str) -> list[dict[str, Any]]:
 
 def survey_with(client: Client, *agents: str) -> list[dict[str, Any]]:
     """As `survey`, with a client that is open already."""
-    found = client.survey(*agents)
+    found = client.describe(*agents)
     for sentence in found.silent:
         show_text(sentence, err=True)
     return found.agents
@@ -57,15 +57,15 @@ def ask_each(ask: Ask, body: Any, *agents: str) -> list[tuple[str, Any]]:
         The names of the agents that answered, each with its result.
 
     Raises:
-        Unreachable: no agent answers, or a named agent does not exist.
-        ControlRefused: all of them refuse.
+        UnreachableError: no agent answers, or a named agent does not exist.
+        ControlRefusedError: all of them refuse.
     """
     with ask.client() as client:
         found = client.request_all(body, *agents)
     sentences = [*found.silent, *(f"{agent} refused: {reply.reason}" for agent, reply in found.replies if not reply.ok)]
     answers = [(agent, reply.result) for agent, reply in found.replies if reply.ok]
     if not answers:
-        raise ControlRefused("\n".join(sentences))
+        raise ControlRefusedError("\n".join(sentences))
     for sentence in sentences:
         show_text(sentence, err=True)
     return answers
@@ -80,12 +80,12 @@ def request(client: Client, agent: str, body: Any) -> Reply:
     """Send a control packet to an agent, and return its reply, which comes when the work is done.
 
     Raises:
-        ControlRefused: the agent refuses; the message is its reason.
-        Unreachable: the agent does not answer.
+        ControlRefusedError: the agent refuses; the message is its reason.
+        UnreachableError: the agent does not answer.
     """
     reply = client.request(agent, body)
     if not reply.ok:
-        raise ControlRefused.of(reply.refusal)
+        raise ControlRefusedError.of(reply.refusal)
     return reply
 
 
@@ -107,8 +107,8 @@ def resolve_service(client: Client, name: TaskName) -> TaskName:
     Without the service, a name that a service also has would mean the service, and the agent would stop all of it.
 
     Raises:
-        ControlRefused: the agent has no such task, or several.
-        Unreachable: the agent does not answer.
+        ControlRefusedError: the agent has no such task, or several.
+        UnreachableError: the agent does not answer.
     """
     name = resolve_fleet(client, name)
     if name.service:
@@ -120,17 +120,17 @@ def resolve_service(client: Client, name: TaskName) -> TaskName:
         return name._replace(service=services[0])
     if services:
         choices = " or ".join(f"{agent}/{service}/{name.task}" for service in services)
-        raise ControlRefused(f"{agent} has several tasks {name.task!r}: use {choices}")
+        raise ControlRefusedError(f"{agent} has several tasks {name.task!r}: use {choices}")
     if name.task in [row["service"] for row in described["services"]]:
-        raise ControlRefused(f"{agent}/{name.task} is a service, not a task: see pancakes service --help")
+        raise ControlRefusedError(f"{agent}/{name.task} is a service, not a task: see pancakes service --help")
     if any(row["state"] != "running" for row in described["services"]):
         # The agent refuses this, and its reason names the task's service if that service does not run.
         request_result(client, agent, Describe(name.task))
     elsewhere = _agent_of(client, f"{agent}/{name.task}", name.task)
     if elsewhere:
-        raise ControlRefused(f"{agent}/{name.task} is on {elsewhere}: use {elsewhere}/{name.task}")
+        raise ControlRefusedError(f"{agent}/{name.task} is on {elsewhere}: use {elsewhere}/{name.task}")
     hint = did_you_mean(name.task, [row["task"] for row in described["tasks"]])
-    raise ControlRefused(f"{agent} has no task {name.task!r}{hint}")
+    raise ControlRefusedError(f"{agent} has no task {name.task!r}{hint}")
 
 
 def _agent_of(client: Client, task_id: str, task: str) -> str:
@@ -173,14 +173,14 @@ def confirm(meaning: str, force: bool, dry_run: bool = False) -> None:
         dry_run: whether this is a dry run, which needs no confirmation.
 
     Raises:
-        ControlRefused: the user declines, or there is no terminal to ask on.
+        ControlRefusedError: the user declines, or there is no terminal to ask on.
     """
     if force or dry_run:
         return
     if not (sys.stdin.isatty() and sys.stderr.isatty()):
-        raise ControlRefused(f"{meaning}. Pass --force to do it, or --dry-run to check it first. Nothing was done")
+        raise ControlRefusedError(f"{meaning}. Pass --force to do it, or --dry-run to check it first. Nothing was done")
     if not click.confirm(f"{meaning}. Do it?", err=True):
-        raise ControlRefused("nothing was done")
+        raise ControlRefusedError("nothing was done")
 
 
 def request_confirmed(
@@ -196,8 +196,8 @@ def request_confirmed(
         dry_run: whether `--dry-run` was given.
 
     Raises:
-        ControlRefused: the agent refuses even with force, or the user declines.
-        Unreachable: the agent does not answer.
+        ControlRefusedError: the agent refuses even with force, or the user declines.
+        UnreachableError: the agent does not answer.
     """
     if force or dry_run or not (sys.stdin.isatty() and sys.stderr.isatty()):
         return request(client, agent, body(force, dry_run))

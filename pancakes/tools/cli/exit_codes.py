@@ -16,7 +16,7 @@ from typing import Any, Final, NoReturn
 
 import click
 
-from pancakes.errors import EXTRAS, ConfigError, PancakesError, Unreachable, missing_extra
+from pancakes.errors import EXTRAS, ConfigError, PancakesError, UnreachableError, missing_extra
 from pancakes.util.docstring import docstring_of
 
 OK: Final = 0
@@ -41,7 +41,7 @@ def exit_code(error: PancakesError) -> int:
     """Return the exit code for an error."""
     if isinstance(error, ConfigError):
         return BAD_CONFIGURATION
-    if isinstance(error, Unreachable):
+    if isinstance(error, UnreachableError):
         return UNREACHABLE
     return REFUSED
 

@@ -48,14 +48,14 @@ class FleetChannels:
         """Subscribe to channels that are new.
 
         Args:
-            described: the descriptions of the agents (`Client.survey`).
+            described: the descriptions of the agents (`Client.describe`).
         """
         own = [f"{it['agent']}/{name}" for it in described for name in it["channels"] if name not in CORE_CHANNELS]
         for channel in (*CORE_CHANNELS, *own):
             if channel in self._subscribers:
                 continue
             try:
-                subscriber = self._client.subscribe(channel, callback=self._hearer(), foreign=True)
+                subscriber = self._client.subscribe(channel, callback=self._hearer(), include_remote=True)
             except PancakesError as error:
                 if channel not in self._refused:
                     self._refused.add(channel)
@@ -88,7 +88,7 @@ def show_in_foxglove(port: int | None, ask: Ask) -> None:
         from pancakes.tools.web.foxglove_server import FoxgloveServer
     ended = event_at(signal.SIGINT, signal.SIGTERM)
     with ask.client() as client:
-        described = client.survey().agents
+        described = client.describe().agents
         fleet = fleet_among(described, ask.where.fleet)
         client.use_fleet(fleet)
         server = FoxgloveServer(f"Pancakes, fleet {fleet}", port)
@@ -113,7 +113,7 @@ def show_in_foxglove(port: int | None, ask: Ask) -> None:
             ask.printer.emit([{"address": server.address, "fleet": fleet}], text)
             while not ended.wait(LOOK_S):
                 try:
-                    channels.look(client.survey().agents)
+                    channels.look(client.describe().agents)
                 except PancakesError:
                     continue  # no agent answers now: one may come back
         finally:

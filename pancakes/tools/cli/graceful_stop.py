@@ -12,9 +12,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pancakes.client import Client, Where
+from pancakes.client import Client, Target
 from pancakes.control import Shutdown
-from pancakes.errors import NoAnswer, PancakesError, Unreachable
+from pancakes.errors import NoAnswerError, PancakesError, UnreachableError
 from pancakes.tools.cli.exit_codes import OK, REFUSED, UNREACHABLE
 from pancakes.tools.cli.output import DRY_RUN, show_text
 from pancakes.util.runtime_dir import RunningAgent, entries
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 
 @dataclass
-class Target:
+class _Stopped:
     """One agent that has to end.
 
     Attributes:
@@ -70,11 +70,11 @@ class GracefulStop:
         if len(set(names)) < len(names):
             # Agents of several fleets have the same name: their addresses tell them apart.
             for entry in sorted(reached, key=lambda entry: (entry.role == "environment", entry.fleet, entry.name)):
-                self.end_named(Where(entry.listen[:1], entry.fleet), [entry.name], here)
+                self.end_named(Target(entry.listen[:1], entry.fleet), [entry.name], here)
         elif names:
-            self.end_named(Where(fleet=fleet), names, here)
+            self.end_named(Target(fleet=fleet), names, here)
 
-    def end_named(self, at: Where, names: Sequence[str], here: Mapping[tuple[str, str], RunningAgent]) -> None:
+    def end_named(self, at: Target, names: Sequence[str], here: Mapping[tuple[str, str], RunningAgent]) -> None:
         """End agents that are found at some addresses; without addresses, on this machine."""
         with Client(at, self.timeout_s) as client:
             described, sentences = _described(client, names)
@@ -106,13 +106,13 @@ class GracefulStop:
         wanted = [member for member in members if not names or member.name in names]
         here = {(entry.fleet, entry.name): entry for entry in entries()}
         with open_hosts(wanted) as hosts, tunnels(hosts.values()) as tunnel_of, ExitStack() as stack:
-            targets: dict[str, Target] = {}
+            targets: dict[str, _Stopped] = {}
             addresses: dict[str, list[str]] = {}
             for member in wanted:
                 fleet, role = member.config.agent.fleet, member.config.agent.role
                 entry = None if member.host else here.get((fleet, member.name))
                 if member.host and hosts[member.host].runs(member):
-                    targets[member.name] = Target(member.name, fleet, role, None, hosts[member.host])
+                    targets[member.name] = _Stopped(member.name, fleet, role, None, hosts[member.host])
                     addresses.setdefault(fleet, []).append(tunnel_of[member.name])
                 elif entry is not None:
                     targets[member.name] = _target_of(entry)
@@ -120,7 +120,7 @@ class GracefulStop:
             if not targets:
                 show_text(f"no agent of {file} runs", err=True)
             clients = {
-                fleet: stack.enter_context(Client(Where(tuple(at), fleet), self.timeout_s))
+                fleet: stack.enter_context(Client(Target(tuple(at), fleet), self.timeout_s))
                 for fleet, at in addresses.items()
             }
             for wave in waves([member for member in wanted if member.name in targets]):
@@ -131,7 +131,7 @@ class GracefulStop:
                     answering = [it for it in group if it.name in names_described]
                     self._end_group(client, answering, [it for it in group if it.name not in names_described])
 
-    def _end_group(self, client: Client, answering: Sequence[Target], silent: Sequence[Target] = ()) -> None:
+    def _end_group(self, client: Client, answering: Sequence[_Stopped], silent: Sequence[_Stopped] = ()) -> None:
         """End agents at the same time, and wait until they are gone. Silent ones are ended by a signal."""
         ending = [target for target in silent if self._signal(target)]
         ending += [target for target in answering if self._ask(client, target)]
@@ -150,11 +150,11 @@ class GracefulStop:
                 process = f" (process {target.process.pid})" if target.process is not None else ""
                 self._fail(f"{target.name}{process} has not ended within {self.timeout_s:g} s", UNREACHABLE)
 
-    def _ask(self, client: Client, target: Target) -> bool:
+    def _ask(self, client: Client, target: _Stopped) -> bool:
         """Ask an agent to end; return whether it will end."""
         try:
             reply = client.request(target.name, Shutdown(self.dry_run))
-        except NoAnswer as error:
+        except NoAnswerError as error:
             self._fail(str(error), UNREACHABLE)
             return False
         if not reply.ok:
@@ -164,7 +164,7 @@ class GracefulStop:
             self._done(target, DRY_RUN)
         return not self.dry_run
 
-    def _signal(self, target: Target) -> bool:
+    def _signal(self, target: _Stopped) -> bool:
         """End an agent that does not answer, such as one whose network sleeps; return whether to wait for it."""
         if self.dry_run:
             self._done(target, DRY_RUN)
@@ -189,7 +189,7 @@ class GracefulStop:
         show_text(f"{target.name} does not answer: sent a signal to its process {pid}", err=True)
         return True
 
-    def _end_there(self, target: Target, host: Host) -> None:
+    def _end_there(self, target: _Stopped, host: Host) -> None:
         from pancakes.tools.launch.ssh import HostError
 
         try:
@@ -202,7 +202,7 @@ class GracefulStop:
         else:
             self._fail(f"{target.name} has not ended on {host.name} within {self.timeout_s:g} s", UNREACHABLE)
 
-    def _done(self, target: Target, done: str) -> None:
+    def _done(self, target: _Stopped, done: str) -> None:
         host = target.host.name if target.host is not None else ""
         row = {"agent": target.name, "fleet": target.fleet, "role": target.role, "host": host, "done": done}
         self.rows.append(row)
@@ -232,8 +232,8 @@ def _described(client: Client, names: Sequence[str]) -> tuple[list[dict[str, Any
 
 def _survey(client: Client, names: Sequence[str]) -> tuple[list[dict[str, Any]], list[str]]:
     try:
-        found = client.survey(*names)
-    except Unreachable as error:
+        found = client.describe(*names)
+    except UnreachableError as error:
         if len(names) < 2:
             return [], str(error).splitlines()
         parts = [_survey(client, [name]) for name in names]
@@ -241,17 +241,17 @@ def _survey(client: Client, names: Sequence[str]) -> tuple[list[dict[str, Any]],
     return list(found.agents), list(found.silent)
 
 
-def _target(described: dict[str, Any], here: Mapping[tuple[str, str], RunningAgent]) -> Target:
+def _target(described: dict[str, Any], here: Mapping[tuple[str, str], RunningAgent]) -> _Stopped:
     name, fleet = described["agent"], described["fleet"]
     entry = here.get((fleet, name))
     # Agents of the same name may run here and elsewhere: compare process ids to know which of them answered.
     process = described["process"]
     is_here = entry is not None and process is not None and process["pid"] == entry.pid
-    return Target(name, fleet, described["role"], _process(entry.pid) if is_here and entry is not None else None)
+    return _Stopped(name, fleet, described["role"], _process(entry.pid) if is_here and entry is not None else None)
 
 
-def _target_of(entry: RunningAgent) -> Target:
-    return Target(entry.name, entry.fleet, entry.role, _process(entry.pid))
+def _target_of(entry: RunningAgent) -> _Stopped:
+    return _Stopped(entry.name, entry.fleet, entry.role, _process(entry.pid))
 
 
 def _process(pid: int) -> psutil.Process | None:
@@ -264,7 +264,7 @@ def _process(pid: int) -> psutil.Process | None:
         return None
 
 
-def _is_gone(client: Client, target: Target) -> bool:
+def _is_gone(client: Client, target: _Stopped) -> bool:
     import psutil
 
     if target.process is None:

@@ -10,7 +10,7 @@ from typing import Any
 import click
 
 from pancakes.client import Client, ReceivedPacket, Subscriber
-from pancakes.errors import PancakesError, Unreachable
+from pancakes.errors import PancakesError, UnreachableError
 from pancakes.packet import covers
 from pancakes.tools.cli.options import Ask, ChannelName
 from pancakes.tools.cli.streaming import say, until_ended
@@ -47,7 +47,7 @@ def listening_to(name: ChannelName, types: Sequence[str], ask: Ask) -> Iterator[
     with (
         until_ended(),
         ask.client() as client,
-        client.subscribe(str(name), *types, foreign=True, max_waiting=MOST_WAITING) as heard,
+        client.subscribe(str(name), *types, include_remote=True, max_waiting=MOST_WAITING) as heard,
         telling_losses(client, heard, name.channel),
     ):
         yield client, heard
@@ -65,7 +65,7 @@ def listen(
         bounded: whether the caller ends by itself. Then it should not wait for ever for agents that went away.
 
     Raises:
-        Unreachable: no agent was connected at the end, or for as long as the client's time limit.
+        UnreachableError: no agent was connected at the end, or for as long as the client's time limit.
     """
     now_s = client.now()
     end_s = math.inf if for_s is None else now_s + for_s
@@ -77,9 +77,9 @@ def listen(
         if packet is not None or subscriber.away() != subscriber.agents():
             connected_s = now_s
         elif bounded and now_s - connected_s >= client.timeout_s:
-            raise Unreachable(f"{', '.join(subscriber.away())} did not come back within {client.timeout_s:g} s")
+            raise UnreachableError(f"{', '.join(subscriber.away())} did not come back within {client.timeout_s:g} s")
     if subscriber.away() == subscriber.agents():
-        raise Unreachable(f"{', '.join(subscriber.away())} went away and did not come back")
+        raise UnreachableError(f"{', '.join(subscriber.away())} went away and did not come back")
 
 
 @contextmanager
@@ -97,7 +97,7 @@ def _tell_losses(client: Client, subscriber: Heard, channel: str) -> None:
     if subscriber.missed:
         say(f"{subscriber.missed} packets were missed: this command could not keep up")
     try:
-        agents = client.survey(*subscriber.agents(), timeout_s=1.0).agents
+        agents = client.describe(*subscriber.agents(), timeout_s=1.0).agents
     except PancakesError:
         return  # an agent that is away cannot be asked
     for agent in agents:

@@ -16,7 +16,7 @@ from click.shell_completion import CompletionItem
 from pancakes.util.text import printable
 
 if TYPE_CHECKING:
-    from pancakes.client import Where
+    from pancakes.client import Target
 
 
 LIMIT_S: Final = 1.0
@@ -49,7 +49,7 @@ def descriptions(ctx: click.Context, *agents: str) -> list[dict[str, Any]]:
 
     try:
         with Client(_at(ctx), LIMIT_S) as client:
-            return _printable(client.survey(*agents).agents)
+            return _printable(client.describe(*agents).agents)
     except Exception:  # an error must not print into the line that the user types
         return []
 
@@ -74,11 +74,11 @@ def _printable(value: Any) -> Any:
     return printable(value) if isinstance(value, str) else value
 
 
-def _at(ctx: click.Context) -> Where:
+def _at(ctx: click.Context) -> Target:
     """The addresses and the fleet that are on the command line already."""
-    from pancakes.client import Where
+    from pancakes.client import Target
 
-    return Where(tuple(ctx.params.get("at") or ()), ctx.params.get("fleet") or "")
+    return Target(tuple(ctx.params.get("at") or ()), ctx.params.get("fleet") or "")
 
 
 def _below(

@@ -21,7 +21,7 @@ from pancakes.tools.cli.output import Printer, show_text
 if TYPE_CHECKING:
     from click.shell_completion import CompletionItem
 
-    from pancakes.client import Client, Where
+    from pancakes.client import Client, Target
 
 
 class TaskName(NamedTuple):
@@ -261,7 +261,7 @@ class Ask:
         printer: prints the answers.
     """
 
-    where: Where
+    where: Target
     timeout_s: float
     printer: Printer
 
@@ -303,9 +303,9 @@ def asks_agents_for(timeout_s: float) -> Callable[[_F], _F]:
     def decorate(function: _F) -> _F:
         @wraps(function)
         def asking(at: tuple[str, ...], fleet: str, timeout: float, printer: Printer, **others: Any) -> Any:
-            from pancakes.client import Where
+            from pancakes.client import Target
 
-            return function(ask=Ask(Where(at, fleet_of_command(fleet)), timeout, printer), **others)
+            return function(ask=Ask(Target(at, fleet_of_command(fleet)), timeout, printer), **others)
 
         decorated: Any = asking
         for option in reversed(options):

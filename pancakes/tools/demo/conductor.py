@@ -18,7 +18,6 @@ from msgspec.structs import replace
 
 from pancakes.control import Begin, Describe, Follow, History, Reply
 from pancakes.events import Event, line_of, record_of
-from pancakes.kernel.handlers import queue
 from pancakes.packet import LOG, SYSCTRL, SYSTEM, Packet, agent_of
 from pancakes.supervision.task_core import TaskCore
 from pancakes.task import Task, Tick, every, on
@@ -372,12 +371,12 @@ class Conductor(TaskCore, Task):
                 self.publish(SYSCTRL, Describe(), to=agent)
         self.after_host(LOOK_S, self._look_at_ticks)
 
-    @on(SYSTEM, "battery", keep=queue(64))
+    @on(SYSTEM, "battery", queue=64)
     def on_battery(self, packet: Packet) -> None:
         """Remember the newest battery reading of each agent."""
         self._mission.batteries[agent_of(packet.source)] = packet.body
 
-    @on(SYSTEM, "world_state", keep="latest")
+    @on(SYSTEM, "world_state", queue="latest")
     def on_world(self, packet: Packet) -> None:
         """Remember the state of the world."""
         state = packet.body
@@ -385,7 +384,7 @@ class Conductor(TaskCore, Task):
         for body in state.bodies:
             self._mission.bodies[body.name] = body
 
-    @on(LOG, None, keep=queue(8192))
+    @on(LOG, None, queue=8192)
     def on_log(self, packet: Packet) -> None:
         """Record the events of agents."""
         agent = agent_of(packet.source)

@@ -444,8 +444,8 @@ def run_virtual(
         running_s = HOST.now()
         if faults is not None:
             faults.arrange(fleet, launcher)
-        at_most_s = plan.duration_s * 2 + READY_S
-        _run_while(fleet, lambda: mission.phase != "over", at_most_s, interrupted, onlooker, losses)
+        timeout_s = plan.duration_s * 2 + READY_S
+        _run_while(fleet, lambda: mission.phase != "over", timeout_s, interrupted, onlooker, losses)
         if interrupted.is_set():
             _settle(mission)
         ended_s = HOST.now()
@@ -468,7 +468,7 @@ def run_virtual(
 def _run_while(
     fleet: Fleet,
     condition: Callable[[], bool],
-    at_most_s: float,
+    timeout_s: float,
     interrupted: threading.Event,
     onlooker: Onlooker | None,
     losses: Losses,
@@ -478,7 +478,7 @@ def _run_while(
     Returns:
         Whether the condition ceased to hold, or the run was interrupted.
     """
-    until_s = fleet.now() + at_most_s
+    until_s = fleet.now() + timeout_s
     while fleet.now() < until_s and not interrupted.is_set():
         slice_s = onlooker.slice_s() if onlooker is not None else SLICE_S
         # In virtual time the mission's clock and the fleet's clock are the same.

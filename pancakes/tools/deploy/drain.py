@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final
 
-from pancakes.client import Client, TaskRow, Where
+from pancakes.client import Client, Target, TaskInfo
 from pancakes.control import Describe, Start
 from pancakes.errors import PancakesError
 from pancakes.util.clock import MonotonicClock
@@ -35,7 +35,7 @@ class Steadiness:
     _seen: dict[str, int] = field(default_factory=dict)
     _since_s: float | None = None
 
-    def look(self, tasks: Sequence[TaskRow], now_s: float) -> bool:
+    def look(self, tasks: Sequence[TaskInfo], now_s: float) -> bool:
         """Take the present tasks; return whether they have run undisturbed for long enough."""
         seen = {str(row): row.incarnation for row in tasks}
         if self.faults(tasks) or seen != self._seen:
@@ -45,7 +45,7 @@ class Steadiness:
         self._since_s = now_s if self._since_s is None else self._since_s
         return now_s - self._since_s >= self.calm_s
 
-    def faults(self, tasks: Sequence[TaskRow]) -> list[str]:
+    def faults(self, tasks: Sequence[TaskInfo]) -> list[str]:
         """Return a clause for each task that does not run although it ran before, or is new."""
         return [
             f"{row.service}/{row.task} is {_state(row)}" + (f": {row.reason}" if row.reason else "")
@@ -53,20 +53,20 @@ class Steadiness:
             if _state(row) not in GOOD and self._ran(row)
         ]
 
-    def is_hopeless(self, tasks: Sequence[TaskRow]) -> bool:
+    def is_hopeless(self, tasks: Sequence[TaskInfo]) -> bool:
         """Return whether a task has been given up, so that waiting is useless."""
         return any(_state(row) in HOPELESS and self._ran(row) for row in tasks)
 
-    def _ran(self, row: TaskRow) -> bool:
+    def _ran(self, row: TaskInfo) -> bool:
         return self.before.get(f"{row.service}/{row.task}", "running") in GOOD
 
 
-def is_given_up(row: TaskRow) -> bool:
+def is_given_up(row: TaskInfo) -> bool:
     """Return whether a task was given up, now or in an earlier run of its agent."""
     return _state(row) == GIVEN_UP
 
 
-def _state(row: TaskRow) -> str:
+def _state(row: TaskInfo) -> str:
     return GIVEN_UP if row.rest == GIVEN_UP else row.state
 
 
@@ -113,7 +113,7 @@ class AgentBefore:
     states: Mapping[str, str] = field(default_factory=dict)
     recorder: Mapping[str, Any] | None = None
 
-    def ran(self, row: TaskRow) -> bool:
+    def ran(self, row: TaskInfo) -> bool:
         """Return whether a task ran, or was about to."""
         return self.states.get(_name(row)) in RUNNING
 
@@ -134,7 +134,7 @@ class TaskMoves:
         self._moved: list[MovedTask] = []
         self._now = MonotonicClock().now
 
-    def tasks(self, agent: str) -> list[TaskRow]:
+    def tasks(self, agent: str) -> list[TaskInfo]:
         """Return the tasks of an agent.
 
         Raises:
@@ -191,7 +191,7 @@ class TaskMoves:
             else:
                 self._tell(agent, f"does not start {row.task}: {reply.reason}")
 
-    def _answering(self, agent: str) -> list[TaskRow]:
+    def _answering(self, agent: str) -> list[TaskInfo]:
         """Return the tasks of an agent that has just been started, once it answers."""
         until_s = self._now() + ANSWER_S
         with self._client(agent) as client:
@@ -285,7 +285,7 @@ class TaskMoves:
                 client.wait(lambda: False, LOOK_S)
         return ""
 
-    def _hosted(self, agent: str) -> list[TaskRow]:
+    def _hosted(self, agent: str) -> list[TaskInfo]:
         try:
             return [row for row in self.tasks(agent) if row.service == HOSTED and row.state == "running"]
         except PancakesError as error:
@@ -305,8 +305,8 @@ class TaskMoves:
                 client.wait(lambda: False, LOOK_S)
 
     def _client(self, agent: str) -> Client:
-        return Client(Where((self._addresses[agent],), self._fleet), ANSWER_S, lambda text: None)
+        return Client(Target((self._addresses[agent],), self._fleet), ANSWER_S, lambda text: None)
 
 
-def _name(row: TaskRow) -> str:
+def _name(row: TaskInfo) -> str:
     return f"{row.service}/{row.task}"

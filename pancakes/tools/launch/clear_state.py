@@ -9,10 +9,10 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Final
 
-from pancakes.client import Client, Where
+from pancakes.client import Client, Target
 from pancakes.config import Config
 from pancakes.config.state_dir import state_dir_of
-from pancakes.errors import PancakesError, Unreachable
+from pancakes.errors import PancakesError, UnreachableError
 from pancakes.journal import empty
 from pancakes.util.runtime_dir import entries
 
@@ -77,8 +77,8 @@ def _at(fleet: str, addresses: Sequence[str]) -> list[tuple[str, str]]:
     if not addresses:
         return []
     try:
-        with Client(Where(tuple(addresses), fleet), ASK_S) as client:
-            found = client.survey()
-    except Unreachable:
+        with Client(Target(tuple(addresses), fleet), ASK_S) as client:
+            found = client.describe()
+    except UnreachableError:
         return []
     return [(it["agent"], it["listen"][-1]) for it in found.agents if it["role"] == "agent"]

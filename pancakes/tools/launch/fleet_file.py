@@ -28,7 +28,7 @@ from pancakes.supervision.restart import fault_of_pauses
 from pancakes.tools.launch.ports import Claim, listening_fault, within_machine
 from pancakes.tools.launch.ssh import fault_of_host
 from pancakes.util import codecs
-from pancakes.util.files import NoHome, NoPath, at_home
+from pancakes.util.files import NoHome, NoPathError, at_home
 from pancakes.util.plugins import Plugins
 from pancakes.util.runtime_dir import RunningAgent, entries
 from pancakes.util.schema import schema_of
@@ -452,7 +452,7 @@ def _of_file(path: Path, faults: list[Fault]) -> Iterator[_Draft]:
     for name, table in found.agents.items():
         try:
             file = path.parent / at_home(table.config or f"{name}.toml")
-        except NoPath as error:
+        except NoPathError as error:
             faults.append(found.places.fault(("agent", name, "config"), str(error)))
             continue
         if not file.is_file():

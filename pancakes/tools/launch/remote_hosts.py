@@ -20,7 +20,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Protocol, TypedDict
 
-from pancakes.errors import PancakesError, Unreachable
+from pancakes.errors import PancakesError, UnreachableError
 from pancakes.mesh.address import LOCAL
 from pancakes.tools.launch.fleet_file import Member
 from pancakes.tools.launch.ssh import (
@@ -216,9 +216,9 @@ class _Tunnel:
             code = self._process.poll()
             errors = os.pread(self._errors, 65_536, 0).decode("utf-8", "replace")
             if code is not None:
-                raise Unreachable(sentence_of(self._host, code, errors))
+                raise UnreachableError(sentence_of(self._host, code, errors))
             if _NOW() > until_s:
-                raise Unreachable(silent(self._host, OPEN_S, errors))
+                raise UnreachableError(silent(self._host, OPEN_S, errors))
             time.sleep(LOOK_S)
 
     def close(self) -> None:

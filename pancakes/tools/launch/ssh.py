@@ -27,7 +27,7 @@ from typing import Any, Final, TypedDict
 import msgspec
 
 import pancakes.tools.remote_host as there
-from pancakes.errors import PancakesError, Unreachable
+from pancakes.errors import PancakesError, UnreachableError
 from pancakes.util import codecs
 from pancakes.util.clock import MonotonicClock
 from pancakes.util.codecs import plain_of
@@ -374,7 +374,7 @@ class HostLink:
 
         Raises:
             HostError: the host cannot do it, or its answer has another type.
-            Unreachable: the connection has ended, or no answer arrives in time.
+            UnreachableError: the connection has ended, or no answer arrives in time.
         """
         number, began_s = self.send(do, **arguments), _NOW()
         while not self.lost:
@@ -397,7 +397,7 @@ class HostLink:
                     return codecs.convert(answer.get("result"), kind)
                 except msgspec.ValidationError as error:
                     raise HostError(f"the answer of {self.host} to {do!r} cannot be read: {error}") from None
-        raise Unreachable(self.lost)
+        raise UnreachableError(self.lost)
 
     def send_file(self, name: str, digest: str, data: bytes, sent: Callable[[int], None] = lambda count: None) -> None:
         """Send a wheel; after each piece, `sent` gets the number of bytes sent so far. Errors are those of `obtain`."""

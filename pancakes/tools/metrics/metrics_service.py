@@ -17,7 +17,7 @@ from msgspec import Meta
 
 from pancakes.errors import PancakesError, needing_extra
 from pancakes.events import Event
-from pancakes.kernel.handlers import on, queue
+from pancakes.kernel.handlers import on
 from pancakes.kernel.timer import HeardTick
 from pancakes.packet import LOG, SYSTEM, Packet, agent_of
 from pancakes.security.key_store import write_private
@@ -77,13 +77,13 @@ class MetricsService(Service):
         timer, tick, _ = heard
         self._metrics.ticked(timer, tick.lateness_s)
 
-    @on(LOG, Event, keep=queue(4096))
+    @on(LOG, Event, queue=4096)
     def on_event(self, packet: Packet) -> None:
         """Count events of this agent."""
         if agent_of(packet.source) == self.agent:
             self._metrics.happened(packet.source, packet.body)
 
-    @on(SYSTEM, "battery", keep="latest")
+    @on(SYSTEM, "battery", queue="latest")
     def on_battery(self, packet: Packet) -> None:
         """Remember the level of this agent's battery."""
         if agent_of(packet.source) == self.agent:

@@ -26,7 +26,7 @@ from typing import Any, Final
 
 from pancakes.tools.remote_host.host_folders import (
     COMPLETE,
-    HostFault,
+    HostError,
     agent_folder,
     data_folder,
     has_keys,
@@ -90,7 +90,7 @@ class HostDeployment:
                 return
             except BlockingIOError:
                 if time.monotonic() >= until_s:
-                    raise HostFault("is busy with another deployment: wait until it has ended") from None
+                    raise HostError("is busy with another deployment: wait until it has ended") from None
                 time.sleep(0.1)
 
 
@@ -243,7 +243,7 @@ def put_keys(fleet: str, name: str, files: Mapping[str, str]) -> None:
         files: the contents by file, in base64; the private key comes last, because its file means that all are there.
     """
     if has_keys(fleet, name):
-        raise HostFault(f"already has keys of {name}")
+        raise HostError(f"already has keys of {name}")
     folder = data_folder() / "keys" / fleet / name
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     folder.chmod(0o700)
@@ -333,5 +333,5 @@ def _run(command: Sequence[str], fault: str) -> None:
     if done.returncode:
         output = done.stderr or done.stdout
         if NO_ROOM in output:
-            raise HostFault(f"has no room left on its disk ({data_folder()}): make room there")
-        raise HostFault(f"{fault}: {tail_of(output)}")
+            raise HostError(f"has no room left on its disk ({data_folder()}): make room there")
+        raise HostError(f"{fault}: {tail_of(output)}")

@@ -17,13 +17,13 @@ COMPLETE = "complete"
 """The file that is written last into an environment: without it, the environment is incomplete."""
 
 
-class HostFault(Exception):
+class HostError(Exception):
     """A request failed. The text is a clause about the host, such as `has no room left`."""
 
 
 def prepare_environment() -> None:
     """Set the folder and the variables of a login, because an SSH session may lack them."""
-    with contextlib.suppress(HostFault, OSError):  # without a home folder, stay in the present one
+    with contextlib.suppress(HostError, OSError):  # without a home folder, stay in the present one
         os.chdir(home())
     own = f"/run/user/{os.getuid()}"
     if "XDG_RUNTIME_DIR" not in os.environ and os.path.isdir(own):
@@ -35,7 +35,7 @@ def home() -> Path:
     try:
         return Path.home()
     except RuntimeError:
-        raise HostFault(f"has no home folder for the user {os.getuid()}: set HOME there") from None
+        raise HostError(f"has no home folder for the user {os.getuid()}: set HOME there") from None
 
 
 def data_folder() -> Path:
@@ -89,7 +89,7 @@ def end_process(fleet: str, name: str, within: float) -> bool:
     """Stop the process of an agent, and wait at most `within` seconds; return whether it has ended.
 
     Raises:
-        HostFault: it is the process of another user.
+        HostError: it is the process of another user.
     """
 
     def pid() -> int:
@@ -101,7 +101,7 @@ def end_process(fleet: str, name: str, within: float) -> bool:
         except ProcessLookupError:
             return True
         except PermissionError:
-            raise HostFault(f"runs {name} as another user (process {found})") from None
+            raise HostError(f"runs {name} as another user (process {found})") from None
     until_s = time.monotonic() + within
     while pid() and time.monotonic() < until_s:
         time.sleep(0.05)

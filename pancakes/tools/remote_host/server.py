@@ -25,7 +25,7 @@ from typing import Any
 
 from pancakes.tools.remote_host.agent_processes import AgentProcesses
 from pancakes.tools.remote_host.deployment import HostDeployment
-from pancakes.tools.remote_host.host_folders import HostFault, end_process, interpreter_for, prepare_environment
+from pancakes.tools.remote_host.host_folders import HostError, end_process, interpreter_for, prepare_environment
 from pancakes.tools.remote_host.host_probe import probe_host
 
 END_S = 2.5
@@ -67,18 +67,18 @@ class LaunchedAgents:
             fresh: whether to clear its state directory first.
 
         Raises:
-            HostFault: the agent cannot be started.
+            HostError: the agent cannot be started.
         """
         python = interpreter_for(fleet, agent)
         if not python:
-            raise HostFault("has no Pancakes: install it there with pancakes deploy")
+            raise HostError("has no Pancakes: install it there with pancakes deploy")
         try:
             path, sets = self._put(agent, config, sets, keys)
             if fresh:
                 self._forget(python, path, sets)
             process = self.processes.start(agent, lambda output, progress: _spawn(python, path, sets, output, progress))
         except OSError as error:
-            raise HostFault(f"cannot start {agent}: {(error.strerror or str(error)).lower()}") from None
+            raise HostError(f"cannot start {agent}: {(error.strerror or str(error)).lower()}") from None
         return {"pid": process.pid}
 
     def end(self, agent: str) -> None:
@@ -134,7 +134,7 @@ class LaunchedAgents:
     def _forget(self, python: str, path: Path, sets: list[str]) -> None:
         done = subprocess.run([python, "-c", FORGET, str(path), *sets], capture_output=True, text=True)
         if done.returncode:
-            raise HostFault(f"cannot clear the state of the agent: {last_line(done.stderr)}")
+            raise HostError(f"cannot clear the state of the agent: {last_line(done.stderr)}")
 
 
 def _spawn(python: str, path: Path, sets: list[str], output: int, ready_fd: int) -> subprocess.Popen[bytes]:
@@ -256,7 +256,7 @@ class HostServer:
         number, call = request.pop("id"), self._calls[request.pop("do")]
         try:
             self._say({"id": number, "result": call(**request)})
-        except HostFault as fault:
+        except HostError as fault:
             self._say({"id": number, "fault": str(fault)})
         except OSError as error:
             self._say({"id": number, "fault": _fault_of(error)})

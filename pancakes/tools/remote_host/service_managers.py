@@ -20,7 +20,7 @@ from typing import Any, Final, Protocol
 
 from pancakes.tools.remote_host import agent_supervisor
 from pancakes.tools.remote_host.host_folders import (
-    HostFault,
+    HostError,
     agent_folder,
     current_python,
     home,
@@ -54,7 +54,7 @@ class ServiceManager(Protocol):
         """Start the agent, and wait until it is ready.
 
         Raises:
-            HostFault: the agent ends, or is not ready in time; the fault has its last lines of output.
+            HostError: the agent ends, or is not ready in time; the fault has its last lines of output.
         """
 
     def stop(self) -> None:
@@ -104,7 +104,7 @@ class Systemd:
         command = [python, "-m", "pancakes.tools.cli.main", "agent", "unit", str(config), "--user"]
         made = subprocess.run(command, capture_output=True, text=True, stdin=subprocess.DEVNULL)
         if made.returncode:
-            raise HostFault(f"cannot make a unit for {self._name}: {tail_of(made.stderr)}")
+            raise HostError(f"cannot make a unit for {self._name}: {tail_of(made.stderr)}")
         self._path.parent.mkdir(parents=True, exist_ok=True)
         write_whole(self._path, made.stdout.encode())
         self._order("daemon-reload")
@@ -118,7 +118,7 @@ class Systemd:
         if started.returncode:
             output = self._output(began_s)
             _systemctl("stop", self._unit)
-            raise HostFault(f"does not get {self._name} ready: {output or tail_of(started.stderr)}")
+            raise HostError(f"does not get {self._name} ready: {output or tail_of(started.stderr)}")
 
     def stop(self) -> None:
         """See `ServiceManager`."""
@@ -150,7 +150,7 @@ class Systemd:
     def _order(self, *words: str) -> None:
         done = _systemctl(*words)
         if done.returncode:
-            raise HostFault(f"refuses `systemctl --user {' '.join(words)}`: {tail_of(done.stderr)}")
+            raise HostError(f"refuses `systemctl --user {' '.join(words)}`: {tail_of(done.stderr)}")
 
     def _output(self, since_s: float) -> str:
         command = ["journalctl", "--user", "-u", self._unit, "-o", "cat", "-n", str(TAIL), f"--since=@{since_s:.0f}"]
@@ -184,7 +184,7 @@ class OwnSupervisor:
             if ended or time.monotonic() > until_s:
                 output = self._output()
                 self.stop()
-                raise HostFault(f"does not get {self._name} ready: {output}")
+                raise HostError(f"does not get {self._name} ready: {output}")
             time.sleep(LOOK_S)
 
     def stop(self) -> None:
@@ -233,7 +233,7 @@ class OwnSupervisor:
                 with open(self._folder / "agent.log", "rb") as file:
                     file.seek(begun)
                     output = tail_of(file.read().decode("utf-8", "replace"))
-                raise HostFault(f"cannot start the supervisor: {output}")
+                raise HostError(f"cannot start the supervisor: {output}")
             time.sleep(LOOK_S)
 
     def _supervisor(self) -> int | None:
@@ -264,7 +264,7 @@ def _linger() -> None:
     """Make systemd keep the services of this user running while the user is not logged in.
 
     Raises:
-        HostFault: systemd does not, and this user may not change that.
+        HostError: systemd does not, and this user may not change that.
     """
 
     def lingers() -> bool:
@@ -276,7 +276,7 @@ def _linger() -> None:
         if not lingers():
             name = os.environ.get("USER") or str(os.getuid())
             advice = f"run `sudo loginctl enable-linger {name}` there"
-            raise HostFault(f"stops the services of {name} when {name} logs out: {advice}")
+            raise HostError(f"stops the services of {name} when {name} logs out: {advice}")
 
 
 def _systemctl(*words: str) -> subprocess.CompletedProcess[str]:

@@ -133,7 +133,7 @@ def compare(recorded: Sequence[Packet], now: Sequence[Packet], address: str, tol
             counts.different += bool(fields)
             if fields:
                 result.differences.append(Difference(DIFFERENT, one, fields))
-    result.differences.sort(key=lambda difference: (difference.packet.stamp, difference.packet.seq))
+    result.differences.sort(key=lambda difference: (difference.packet.stamp_s, difference.packet.seq))
     return result
 
 
@@ -171,14 +171,14 @@ def _by_time(before: Sequence[Packet], after: Sequence[Packet], time_s: float) -
     first = second = 0
     while first < len(before) and second < len(after):
         one, other = before[first], after[second]
-        gap_s = abs(one.stamp - other.stamp)
+        gap_s = abs(one.stamp_s - other.stamp_s)
         # If one of the two packets has no partner, the next packet may fit better.
-        later_other = second + 1 < len(after) and abs(one.stamp - after[second + 1].stamp) < gap_s
-        later_one = first + 1 < len(before) and abs(before[first + 1].stamp - other.stamp) < gap_s
+        later_other = second + 1 < len(after) and abs(one.stamp_s - after[second + 1].stamp_s) < gap_s
+        later_one = first + 1 < len(before) and abs(before[first + 1].stamp_s - other.stamp_s) < gap_s
         if gap_s <= time_s and not (later_other or later_one):
             yield one, other
             first, second = first + 1, second + 1
-        elif later_other or (not later_one and other.stamp < one.stamp):
+        elif later_other or (not later_one and other.stamp_s < one.stamp_s):
             yield None, other
             second += 1
         else:
@@ -191,8 +191,8 @@ def _by_time(before: Sequence[Packet], after: Sequence[Packet], time_s: float) -
 
 
 def _differences(recorded: Packet, now: Packet, tolerance: Tolerance) -> Iterator[FieldDifference]:
-    if abs(recorded.stamp - now.stamp) > tolerance.time_s:
-        yield FieldDifference(STAMP, recorded.stamp, now.stamp)
+    if abs(recorded.stamp_s - now.stamp_s) > tolerance.time_s:
+        yield FieldDifference(STAMP, recorded.stamp_s, now.stamp_s)
     yield from _walk(body_to_plain(recorded.body), body_to_plain(now.body), "", tolerance.share)
 
 

@@ -394,7 +394,7 @@ def read_script(
     handled_s: dict[Cause, float] = {}
     for packet in script.outputs:
         if packet.cause is not None:
-            handled_s.setdefault((packet.cause[0], packet.cause[1]), packet.stamp)
+            handled_s.setdefault((packet.cause[0], packet.cause[1]), packet.stamp_s)
     now_s = stay.begins_s
     steps: list[Given | Change] = []
     for entry in seen:
@@ -412,8 +412,8 @@ def read_script(
     before_s = 0.0
     for packet in script.outputs:
         if packet.cause is None:
-            script.spontaneous_s.append((packet.stamp, before_s))
-        before_s = packet.stamp
+            script.spontaneous_s.append((packet.stamp_s, before_s))
+        before_s = packet.stamp_s
     script.end_s = max(now_s, times.end_s)
     overtaken = Overtaken(steps, reader.limits, handled_s, 0.0 if virtual else CLOSE_S * speed)
     end_s = times.end_s - END_S * speed if stay.end and not virtual else math.inf
@@ -434,7 +434,9 @@ class _StayReader:
         subscriptions = [subscription for subscription, _ in subscriptions_of(cls)]
         self._wants = {(subscription.channel, subscription.type) for subscription in subscriptions}
         self.limits = {
-            (it.channel, it.type): it.keep.limit for it in subscriptions if it.type is not None and not it.keep.reliable
+            (it.channel, it.type): it.queue.limit
+            for it in subscriptions
+            if it.type is not None and not it.queue.reliable
         }
         self.channels: dict[str, None] = {}
         self.ticks = TicksReader(stay)
@@ -537,7 +539,7 @@ class _MissionTimes:
     def __init__(self, stay: Stay, speed: float, entries: Iterable[RecordedPacket]) -> None:
         self._stay = stay
         self._speed = speed
-        own = [(entry.packet.stamp, entry.time_ns) for entry in entries if self._is_own(entry.packet)]
+        own = [(entry.packet.stamp_s, entry.time_ns) for entry in entries if self._is_own(entry.packet)]
         # A packet has the mission time of its publication as stamp, and is recorded at that moment or a little later.
         offsets = [stamp - self._elapsed_s(time_ns) for stamp, time_ns in own if stamp > 0.0]
         # While a mission is held, all stamps are 0 and cannot be compared.
@@ -546,7 +548,7 @@ class _MissionTimes:
 
     def of(self, entry: RecordedPacket) -> float:
         """Return the mission time at which an entry was recorded."""
-        return entry.packet.stamp if self._is_own(entry.packet) else self._of_ns(entry.time_ns)
+        return entry.packet.stamp_s if self._is_own(entry.packet) else self._of_ns(entry.time_ns)
 
     def _is_own(self, packet: Packet) -> bool:
         return agent_of(packet.source) == self._stay.agent

@@ -15,7 +15,7 @@ from msgspec.structs import replace
 
 from pancakes.client import Client
 from pancakes.control import Describe
-from pancakes.errors import ControlRefused, PancakesError, Unreachable
+from pancakes.errors import ControlRefusedError, PancakesError, UnreachableError
 from pancakes.packet import CORE_CHANNELS, NEIGHBOURS, SYSTEM, TO_TASK, Packet, agent_of, join
 from pancakes.recording.clock_alignment import MissionTime
 from pancakes.recording.records import CHANNEL, NANOSECONDS, RecordedPacket
@@ -186,7 +186,7 @@ class _Once:
         while self._order and self._order[0][0] < entry.time_ns - _TWICE_NS:
             self._known.discard(self._order.popleft()[1])
         packet = entry.packet
-        key = (name, packet.source, packet.seq, packet.stamp)
+        key = (name, packet.source, packet.seq, packet.stamp_s)
         if key in self._known:
             return False
         self._known.add(key)
@@ -224,7 +224,7 @@ def tally_of(selection: Selection, entries: Iterable[RecordedPacket]) -> Tally:
     """Count the packets to feed, before any is fed.
 
     Raises:
-        ControlRefused: an agent lacks a channel, no packet matches, or none of the agents runs.
+        ControlRefusedError: an agent lacks a channel, no packet matches, or none of the agents runs.
     """
     tally = Tally()
     for fed in selection.of(entries):
@@ -232,12 +232,12 @@ def tally_of(selection: Selection, entries: Iterable[RecordedPacket]) -> Tally:
     for topic, count in tally.packets.items():
         agent = selection.agents.get(topic.agent)
         if not topic.left_out and agent is not None and topic.channel not in agent.channels:
-            raise ControlRefused(
+            raise ControlRefusedError(
                 f"{agent.name} has no channel {topic.channel!r} for {count} packets of {topic.source}: add"
                 f" [channel.{topic.channel}] to its configuration, or choose others with --only"
             )
     if not tally.fed():
-        raise ControlRefused(_why_nothing(selection, tally))
+        raise ControlRefusedError(_why_nothing(selection, tally))
     return tally
 
 
@@ -287,14 +287,14 @@ class Feeder:
             recorded_speed: mission seconds per second of the recording.
 
         Raises:
-            ControlRefused: the agents' missions run at several speeds.
-            Unreachable: an agent went away.
+            ControlRefusedError: the agents' missions run at several speeds.
+            UnreachableError: an agent went away.
         """
         # A held mission has no speed; packets for it get the stamp 0.
         speeds = sorted({agent.speed for agent in self._selection.agents.values() if agent.speed})
         if len(speeds) > 1:
             text = ", ".join(f"{name} at {agent.speed:g}" for name, agent in self._selection.agents.items())
-            raise ControlRefused(f"the agents' missions run at different speeds: {text}")
+            raise ControlRefusedError(f"the agents' missions run at different speeds: {text}")
         pace = recorded_speed / (speed * (speeds[0] if speeds else 1.0))
         begin_s = self._client.now()
         for fed in self._selection.of(entries):
@@ -305,11 +305,11 @@ class Feeder:
                 self._client.wait(lambda: False, early_s)
             agent = self._selection.agents[fed.topic.agent]
             self._make_room(agent.name, due_s)
-            packet = replace(fed.packet, stamp=self._stamp(agent))
+            packet = replace(fed.packet, stamp_s=self._stamp(agent))
             try:
                 self._client.send(packet)
             except PancakesError as error:
-                raise Unreachable(f"after {self.tally.fed()} packets: {error}") from None
+                raise UnreachableError(f"after {self.tally.fed()} packets: {error}") from None
             self._fed.add(agent.name)
             self.tally.add(fed)
 
@@ -332,5 +332,5 @@ class Feeder:
 
     def _waits(self, name: str) -> bool:
         if not self._client.is_connected(name):
-            raise Unreachable(f"after {self.tally.fed()} packets: {name} went away")
+            raise UnreachableError(f"after {self.tally.fed()} packets: {name} went away")
         return self._client.waiting(name) > 0

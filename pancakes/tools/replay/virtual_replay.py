@@ -10,7 +10,7 @@ from msgspec.structs import replace
 
 from pancakes.config import Config
 from pancakes.config.tables import RecordConfig
-from pancakes.errors import ConfigError, Fault, MailboxFull, PancakesError
+from pancakes.errors import ConfigError, Fault, MailboxFullError, PancakesError
 from pancakes.packet import join
 from pancakes.recording.records import NANOSECONDS, RecordedPacket
 from pancakes.recording.virtual_recorder import VirtualRecorder
@@ -103,8 +103,8 @@ class VirtualReplay:
             self._fleet.run_to(max(due_s, self._fleet.now()))
             kernel = self._fleet.agents[fed.topic.agent].kernel
             try:
-                kernel.stream.inject(replace(fed.packet, stamp=kernel.mission.now()))
-            except MailboxFull as error:
+                kernel.stream.inject(replace(fed.packet, stamp_s=kernel.mission.now()))
+            except MailboxFullError as error:
                 self.refused.append(str(error))
                 continue
             self.tally.add(fed)

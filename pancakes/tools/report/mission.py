@@ -10,7 +10,7 @@ import msgspec
 
 from pancakes.control import Hold
 from pancakes.events import Event, LogLine
-from pancakes.migration import Ledger
+from pancakes.migration import MigrationReport
 from pancakes.packet import CTRL, LOG, SYSTEM, Packet, agent_of
 from pancakes.recording.records import TaskDescription
 from pancakes.tools.report.time_series import TimeSeries
@@ -236,7 +236,7 @@ class TaskMove:
     """
 
     at_s: float
-    ledger: Ledger
+    ledger: MigrationReport
     frozen_s: float | None = None
     started_s: float | None = None
     silence_s: float | None = None
@@ -316,7 +316,7 @@ class Moves:
             self.left_out += 1
             return
         try:
-            move = TaskMove(t_s, codecs.convert(fields, Ledger))
+            move = TaskMove(t_s, codecs.convert(fields, MigrationReport))
         except msgspec.ValidationError:
             return  # a user's event with the same name
         self.moves.append(move)

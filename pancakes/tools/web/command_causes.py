@@ -237,7 +237,7 @@ class CommandExplainer:
             "source": packet.source,
             "seq": packet.seq,
             "t": round(it.t, 3),
-            "mission_s": round(packet.stamp, 3),
+            "mission_s": round(packet.stamp_s, 3),
             "place": place + 1,
             "count": len(given),
             "actuators": self.actuators(agent),

@@ -15,7 +15,7 @@ import msgspec
 
 from pancakes.config.toml_writer import key_text
 from pancakes.control import Configure, Migrate, Reschedule, Restart, Start, Stop
-from pancakes.errors import ControlRefused
+from pancakes.errors import ControlRefusedError
 from pancakes.kernel.handlers import period_of
 from pancakes.tools.schema_rows import arms_of, bounds_of, resolved, type_of, unit_of
 from pancakes.util import codecs
@@ -225,12 +225,12 @@ def order_from(message: Any) -> PageOrder:
     """Convert a message of a page to an order.
 
     Raises:
-        ControlRefused: the message is not a valid order; the sentence says why.
+        ControlRefusedError: the message is not a valid order; the sentence says why.
     """
     try:
         return codecs.convert(message, PageOrder)
     except msgspec.ValidationError as error:
-        raise ControlRefused(f"the page sent an invalid order: {_lower(str(error))}") from None
+        raise ControlRefusedError(f"the page sent an invalid order: {_lower(str(error))}") from None
 
 
 def _lower(text: str) -> str:

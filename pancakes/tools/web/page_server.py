@@ -26,7 +26,7 @@ from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 
 from pancakes.control import Describe, Reply
-from pancakes.errors import ControlRefused, NoAnswer, PancakesError, describe
+from pancakes.errors import ControlRefusedError, NoAnswerError, PancakesError, describe
 from pancakes.packet import Cause
 from pancakes.tools.loopback import names_loopback
 from pancakes.tools.short_state import ShortState
@@ -195,13 +195,13 @@ async def _described(shown: Shown, agent: str, target: str) -> tuple[dict[str, A
     try:
         reply = await _asked(shown, agent, Describe(target, state=True))
         no_state = reply.reason
-    except NoAnswer:
+    except NoAnswerError:
         no_state = f"{agent}/{target} has not told its state within {LOOK_S:g} s: it may be busy"
     if not no_state:
         return reply.result, ""
     reply = await _asked(shown, agent, Describe(target))
     if not reply.ok:
-        raise ControlRefused.of(reply.refusal)
+        raise ControlRefusedError.of(reply.refusal)
     return reply.result, no_state
 
 
@@ -210,7 +210,7 @@ async def _asked(shown: Shown, agent: str, body: Describe) -> Reply:
     try:
         return await asyncio.wait_for(asked_for, 2 * LOOK_S)
     except TimeoutError:
-        raise NoAnswer(f"{agent} did not answer in time") from None
+        raise NoAnswerError(f"{agent} did not answer in time") from None
 
 
 def _seen(shown: Shown, agent: str, target: str, t: float) -> dict[str, Any] | None:
@@ -491,14 +491,14 @@ class PageServer:
             return await self._looks.look(shown, wanted.agent, wanted.task, wanted.t)
         if what == "order":
             if shown.order is None:
-                raise ControlRefused("this page is read-only: start it with --control to change something")
+                raise ControlRefusedError("this page is read-only: start it with --control to change something")
             order = order_from(asked)
             asked_for = asyncio.wrap_future(shown.order(order.agent, order.body(), ORDER_S))
             try:
                 return await asyncio.wait_for(asked_for, ORDER_S + CLOSE_S)
             except TimeoutError:
-                raise NoAnswer(f"{order.agent} did not answer in time") from None
-        raise ControlRefused(f"a page cannot ask for {str(what)[:40]!r}")
+                raise NoAnswerError(f"{order.agent} did not answer in time") from None
+        raise ControlRefusedError(f"a page cannot ask for {str(what)[:40]!r}")
 
 
 _Number = Annotated[int, msgspec.Meta(ge=0, le=2**53)] | None

@@ -11,7 +11,7 @@ from typing import Any, Final
 from pancakes.agent.agent import Agent
 from pancakes.client.rates import RateMeter
 from pancakes.control import Describe, Refusal, Reply
-from pancakes.errors import ControlRefused, PancakesError, Unreachable
+from pancakes.errors import ControlRefusedError, PancakesError, UnreachableError
 from pancakes.packet import CTRL, LOG, SYSCTRL, SYSTEM, Cause, Packet, agent_of
 from pancakes.recording.causal_chains import ActuatorCommand, CommandChains
 from pancakes.recording.records import NANOSECONDS, RecordedPacket
@@ -120,7 +120,7 @@ class VirtualWatch:
                 return
             try:
                 answer.set_result(Reply(None, self._described(agent, body)))
-            except ControlRefused as error:
+            except ControlRefusedError as error:
                 answer.set_result(Reply(Refusal.of(error)))
             except PancakesError as error:
                 answer.set_exception(error)
@@ -129,24 +129,25 @@ class VirtualWatch:
         """Return the description of a task, with its state if `body` asks for it.
 
         Raises:
-            ControlRefused: the task does not exist, does not run and so has no state, or its state cannot be encoded.
-            Unreachable: the mission is over, or the agent was killed.
+            ControlRefusedError: the task does not exist, does not run and so has no state, or its state cannot be
+                encoded.
+            UnreachableError: the mission is over, or the agent was killed.
         """
         if self._over:
-            raise Unreachable("the mission is over: its agents no longer answer")
+            raise UnreachableError("the mission is over: its agents no longer answer")
         assert self._fleet is not None
         if agent not in self._fleet.agents:
-            raise Unreachable(f"{agent} cannot be reached")
+            raise UnreachableError(f"{agent} cannot be reached")
         service, _, name = body.target.partition("/")
         owner = self._fleet.agents[agent].kernel.registry.get(f"{agent}/{service}")
         if not isinstance(owner, ServiceCore) or name not in owner.slots:
-            raise ControlRefused(f"{agent} has no task {body.target!r}")
+            raise ControlRefusedError(f"{agent} has no task {body.target!r}")
         slot = owner.slots[name]
         described = owner.describe_in_detail(slot)
         if not body.state:
             return described
         if not isinstance(slot.task, TaskCore) or slot.life.state is not State.RUNNING:
-            raise ControlRefused(f"{slot.address} is {slot.life.word}, not running")
+            raise ControlRefusedError(f"{slot.address} is {slot.life.word}, not running")
         return {**described, **slot.task.describe_state(body)}
 
     def _now(self) -> float:

@@ -13,7 +13,7 @@ from pancakes.client.rates import RateMeter
 from pancakes.client.session import FleetSession, Session
 from pancakes.client.subscriptions import Subscription, SubscriptionSpec
 from pancakes.control import Describe, History, Reply, Traces
-from pancakes.errors import ControlRefused, NoAnswer, PancakesError, Unreachable
+from pancakes.errors import ControlRefusedError, NoAnswerError, PancakesError, UnreachableError
 from pancakes.packet import LOG, SYSTEM, Cause
 from pancakes.tools.web.command_causes import CommandExplainer, FleetTraces
 from pancakes.tools.web.feed import FRAMES_HZ, Feed
@@ -72,14 +72,14 @@ def fleet_among(described: Iterable[Mapping[str, Any]], fleet: str = "") -> str:
         fleet: the name of the fleet; empty: the only one.
 
     Raises:
-        ControlRefused: there are several fleets, and `fleet` is empty.
-        Unreachable: no fleet has that name.
+        ControlRefusedError: there are several fleets, and `fleet` is empty.
+        UnreachableError: no fleet has that name.
     """
     found = sorted({row["fleet"] for row in described})
     if not fleet and len(found) > 1:
-        raise ControlRefused(f"several fleets are running, {', '.join(found)}: choose one with --fleet")
+        raise ControlRefusedError(f"several fleets are running, {', '.join(found)}: choose one with --fleet")
     if fleet and fleet not in found:
-        raise Unreachable(f"no agent of the fleet {fleet!r} was found, only of {', '.join(found)}")
+        raise UnreachableError(f"no agent of the fleet {fleet!r} was found, only of {', '.join(found)}")
     return fleet or found[0]
 
 
@@ -142,7 +142,7 @@ class Watch:
         """
         answer: Future[Reply] = Future()
         if self._closed:
-            answer.set_exception(Unreachable("the mission is over: its agents no longer answer"))
+            answer.set_exception(UnreachableError("the mission is over: its agents no longer answer"))
             return answer
         self._orders.append((agent, body, timeout_s, answer))
         return answer
@@ -173,7 +173,7 @@ class Watch:
         self._refuse_all("the page no longer watches the fleet")
 
     def _watch(self, session: Session) -> None:
-        found = session.survey().agents
+        found = session.describe().agents
         self._fleet = fleet_among(found, self._fleet)
         session.use_fleet(self._fleet)
         truth = any(row["role"] == "environment" and row["fleet"] == self._fleet for row in found)
@@ -284,7 +284,7 @@ class Watch:
             agent, body, timeout_s, answer = self._orders.popleft()
             fleet = next((fleet for fleet in fleets if fleet.is_connected(agent)), None)
             if fleet is None:
-                answer.set_exception(Unreachable(f"{agent} cannot be reached"))
+                answer.set_exception(UnreachableError(f"{agent} cannot be reached"))
                 continue
             self._ask(fleet, agent, body, "order", now_s + timeout_s).answer = answer
 
@@ -319,7 +319,7 @@ class Watch:
         if isinstance(answer, Reply):
             asked.answer.set_result(answer)
         else:
-            asked.answer.set_exception(NoAnswer(f"{asked.agent} did not answer: {answer or 'no reply in time'}"))
+            asked.answer.set_exception(NoAnswerError(f"{asked.agent} did not answer: {answer or 'no reply in time'}"))
 
     def _take_looks(self, answers: Sequence[tuple[_PendingRequest, Mapping[str, Any]]], now_s: float) -> None:
         described = [result for _, result in answers]
@@ -348,8 +348,8 @@ class Watch:
     def _refuse_all(self, reason: str) -> None:
         for asked in self._asked:
             if asked.answer is not None:
-                asked.answer.set_exception(NoAnswer(f"{asked.agent} did not answer: {reason}"))
+                asked.answer.set_exception(NoAnswerError(f"{asked.agent} did not answer: {reason}"))
         self._asked = []
         while self._orders:
             *_, answer = self._orders.popleft()
-            answer.set_exception(Unreachable(reason))
+            answer.set_exception(UnreachableError(reason))

@@ -50,7 +50,7 @@ class BatteryWatchdog(Task):
     def on_start(self) -> None:
         self._asked: dict[int, str] = {}
 
-    @on(SYSTEM, Battery, keep="latest")
+    @on(SYSTEM, Battery, queue="latest")
     def measured(self, packet: Packet) -> None:
         """Take a reading of the battery."""
         level = packet.body.level

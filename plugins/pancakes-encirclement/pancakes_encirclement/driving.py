@@ -38,12 +38,12 @@ class DrivingTask(Task):
     def on_settings(self) -> None:
         self.steering = Steering(self.settings.avoidance)
 
-    @on(SYSTEM, Infrared, keep="latest")
+    @on(SYSTEM, Infrared, queue="latest")
     def infrared_seen(self, packet: Packet) -> None:
         """Take a sweep of the infrared ring."""
         self._sweep(packet.body)
 
-    @on(SYSTEM, Sonar, keep="latest")
+    @on(SYSTEM, Sonar, queue="latest")
     def sonar_seen(self, packet: Packet) -> None:
         """Take a sweep of the sonar ring."""
         self._sweep(packet.body)

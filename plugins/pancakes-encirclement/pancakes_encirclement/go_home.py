@@ -38,7 +38,7 @@ class GoHome(DrivingTask):
     settings: Settings
     _parked = False
 
-    @on(SYSTEM, Pose, keep="latest")
+    @on(SYSTEM, Pose, queue="latest")
     def steer(self, packet: Packet) -> None:
         """Drive on from the robot's present pose."""
         if not self.is_own(packet):

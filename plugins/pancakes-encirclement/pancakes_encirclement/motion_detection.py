@@ -55,13 +55,13 @@ class MotionDetection(Task):
         self._next_s = -math.inf
         self._last_s = -math.inf
 
-    @on(SYSTEM, Pose, keep="latest")
+    @on(SYSTEM, Pose, queue="latest")
     def moved(self, packet: Packet) -> None:
         """Remember where the sensor is."""
         if agent_of(packet.source) == self.agent:
             self._pose = packet.body
 
-    @on(SYSTEM, Motion, keep="latest")
+    @on(SYSTEM, Motion, queue="latest")
     def sensed(self, packet: Packet) -> None:
         """Take a reading of the motion sensor."""
         motion: Motion = packet.body

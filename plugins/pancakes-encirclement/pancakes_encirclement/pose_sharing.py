@@ -14,7 +14,7 @@ class PoseSharing(Task):
     requires = ("pose",)
     _pose: Pose | None = None
 
-    @on(SYSTEM, Pose, keep="latest")
+    @on(SYSTEM, Pose, queue="latest")
     def moved(self, packet: Packet) -> None:
         """Remember the newest pose."""
         if agent_of(packet.source) == self.agent:

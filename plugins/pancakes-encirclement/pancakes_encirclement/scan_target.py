@@ -83,7 +83,7 @@ class ScanTarget(DrivingTask):
         """Remember where a neighbour is."""
         self._neighbours[agent_of(packet.source)] = (self.now(), (packet.body.x_m, packet.body.y_m))
 
-    @on(SYSTEM, Pose, keep="latest")
+    @on(SYSTEM, Pose, queue="latest")
     def steer(self, packet: Packet) -> None:
         """Drive on from the robot's present pose."""
         if not self.is_own(packet):

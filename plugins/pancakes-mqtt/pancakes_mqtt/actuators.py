@@ -86,7 +86,7 @@ class MqttActuator(Actuator):
         if self._broker is not None:
             self._broker.leave(self.context.device, None)
 
-    def apply(self, command: Any, ttl_s: float, source: str) -> None:
+    def write(self, command: Any, ttl_s: float, source: str) -> None:
         payload = self.command_payload(command, ttl_s)
         if self._broker is None:
             return
@@ -97,12 +97,12 @@ class MqttActuator(Actuator):
             self.context.log("info", "commands are taken again")
         self._unheard = not heard
 
-    def holds_by_itself(self, hold_after_s: float) -> float | None:
+    def watchdog_s(self, hold_after_s: float) -> float | None:
         """Return the firmware's time-out in the settings."""
         holds_after_s: float | None = self.settings.holds_after_s
         return holds_after_s
 
-    def hold(self) -> None:
+    def safe_stop(self) -> None:
         payload = self.hold_payload()
         if payload and self._broker is not None:
             self._broker.publish(Message(self._topic, payload, qos=1))
@@ -192,7 +192,7 @@ class MqttMotors(MqttActuator):
     def hold_payload(self) -> bytes:
         return self.command_payload(Twist(0.0, 0.0), 0.0)
 
-    def holds_by_itself(self, hold_after_s: float) -> float | None:
+    def watchdog_s(self, hold_after_s: float) -> float | None:
         """Return the time to live if the controller gets it; otherwise its time-out in the settings."""
-        stated = super().holds_by_itself(hold_after_s)
+        stated = super().watchdog_s(hold_after_s)
         return hold_after_s if stated is None and "{ttl_s}" in self.settings.command else stated

@@ -18,8 +18,8 @@ from typing import Annotated, Any, Final
 import msgspec
 
 from pancakes.devices.driver import Pace
-from pancakes.errors import MailboxFull, PancakesError
-from pancakes.kernel.handlers import queue
+from pancakes.errors import MailboxFullError, PancakesError
+from pancakes.kernel.handlers import drop_oldest
 from pancakes.packet import CORE_CHANNELS, SYSCTRL, SYSTEM, Packet, agent_of, body_class, field_names, known_types
 from pancakes.service import Service
 from pancakes.util.text import hint_of
@@ -94,7 +94,7 @@ class MqttBridge(Service):
         )
         for number, row in enumerate(settings.publish):
             kind = None if row.type == "*" else row.type
-            self.subscribe(row.channel, kind, partial(self._send, number, row), queue(1024))
+            self.subscribe(row.channel, kind, partial(self._send, number, row), drop_oldest(1024))
         for row in settings.take:
             self._connection.listen(row.topic, row.qos, self._came)
         self._connection.start()
@@ -197,7 +197,7 @@ class MqttBridge(Service):
                     self._complain(f"a part of a message on {message.topic} is left out: {'; '.join(left_out)}")
                 self.publish(row.channel, body, row.to)
                 self._taken += 1
-            except MailboxFull:
+            except MailboxFullError:
                 return False
             except (BadPayload, PancakesError) as error:
                 self._unfit += 1

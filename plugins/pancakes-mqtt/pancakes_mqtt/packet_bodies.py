@@ -31,7 +31,7 @@ def payload_of(packet: Packet, whole: bool) -> bytes:
         raise BadPayload(f"it cannot be written as JSON: {error}") from None
     if not whole:
         return plain_json(body)
-    told = {"source": packet.source, "type": packet.type, "stamp": packet.stamp, "seq": packet.seq, "body": body}
+    told = {"source": packet.source, "type": packet.type, "stamp": packet.stamp_s, "seq": packet.seq, "body": body}
     return plain_json(told)
 
 

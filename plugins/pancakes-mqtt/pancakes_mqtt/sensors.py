@@ -109,7 +109,7 @@ class MqttSensor(Sensor):
         if self._broker is not None:
             self._broker.leave(self.context.device, self._came)
 
-    def sample(self) -> None:
+    def read(self) -> None:
         """Do nothing: readings come by themselves."""
 
     def _where(self) -> Saying:

@@ -116,7 +116,7 @@ class BusTemperature(BusSensor):
     def chip(self) -> Chip:
         return THERMOMETERS[self.settings.model]
 
-    def sample(self) -> Temperature:
+    def read(self) -> Temperature:
         return Temperature(self.measured())
 
 
@@ -144,6 +144,6 @@ class BusBattery(BusSensor):
     def chip(self) -> Chip:
         return VOLTMETERS["ina219"]
 
-    def sample(self) -> Battery:
+    def read(self) -> Battery:
         settings, voltage_v = self.settings, self.measured()
         return Battery(voltage_v, level_at(voltage_v, settings.empty_v, settings.full_v))

@@ -56,7 +56,7 @@ class GpsPose(Sensor):
         if self._feed is not None:
             self._feed.close()
 
-    def sample(self) -> None:
+    def read(self) -> None:
         """Readings come by themselves."""
 
     def silent(self) -> None:

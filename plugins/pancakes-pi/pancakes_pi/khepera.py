@@ -18,7 +18,7 @@ from pancakes_pi.khepera_lines import (
     PROXIMITY,
     SONARS,
     VOLTAGE,
-    NoAnswer,
+    NoAnswerError,
     echo_in,
     ring_in,
     share_in,
@@ -66,7 +66,7 @@ class KheperaMotors(Actuator):
         refuse_virtual_time(self.context)
         self._port = khepera_port(self.context, self.settings.port, self.settings.baud)
 
-    def apply(self, command: Twist, ttl_s: float, source: str) -> None:
+    def write(self, command: Twist, ttl_s: float, source: str) -> None:
         drive = KHEPERA_III.drive
         wheels = drive.wheels(command)
         assert self._port is not None
@@ -77,7 +77,7 @@ class KheperaMotors(Actuator):
             self.context.log("warning", "commands are lost: the robot is not there")
         self._unheard = not heard
 
-    def hold(self) -> None:
+    def safe_stop(self) -> None:
         """Both wheels stand."""
         if self._port is not None:
             self._port.drive(0, 0)
@@ -106,19 +106,19 @@ class KheperaSensor(Sensor):
         if self._port is not None:
             self._port.forget(self.context.device)
 
-    def sample(self) -> None:
+    def read(self) -> None:
         """Asks the robot."""
         assert self._port is not None
         self._port.ask(self.context.device, self.questions, self._answered)
 
     @abstractmethod
     def body(self, answers: list[list[int]]) -> Any:
-        """Returns the reading in the answers. In the port's thread. Raises NoAnswer."""
+        """Returns the reading in the answers. In the port's thread. Raises NoAnswerError."""
 
     def _answered(self, answers: list[list[int]]) -> None:
         try:
             self.context.deliver(self.body(answers))
-        except NoAnswer as error:
+        except NoAnswerError as error:
             self.context.missed(f"an answer is left out: {error}")
 
 

@@ -26,7 +26,7 @@ LONGEST: Final = 256
 """No line of the protocol is longer."""
 
 
-class NoAnswer(ValueError):
+class NoAnswerError(ValueError):
     """A line is no answer to what was asked."""
 
 
@@ -45,48 +45,48 @@ def numbers_in(line: bytes, command: str) -> list[int]:
     """Returns the numbers of an answer.
 
     Raises:
-        NoAnswer: the line is none to this command.
+        NoAnswerError: the line is none to this command.
     """
     try:
         head, *rest = line.decode("ascii").strip("\r\n").split(",")
         if head != command[0].lower():
-            raise NoAnswer
+            raise NoAnswerError
         return [whole_number_in(number) for number in rest]
     except ValueError:  # UnicodeDecodeError too
-        raise NoAnswer(f"{line[:40]!r} is no answer to {command}") from None
+        raise NoAnswerError(f"{line[:40]!r} is no answer to {command}") from None
 
 
 def ring_in(numbers: list[int]) -> tuple[int, ...]:
     """Returns what the infrared sensors of the ring say, back left first, then round by the front, the back one last.
 
     Raises:
-        NoAnswer: they are not 11 and a time.
+        NoAnswerError: they are not 11 and a time.
     """
     if len(numbers) < RING + 2:
-        raise NoAnswer(f"the robot told {len(numbers)} infrared sensors, not {RING + 2}")
+        raise NoAnswerError(f"the robot told {len(numbers)} infrared sensors, not {RING + 2}")
     return tuple(numbers[:RING])
 
 
 def echo_in(numbers: list[int]) -> float | None:
-    """Returns the distance of the nearest echo, in metres; None where there was none. Raises NoAnswer."""
+    """Returns the distance of the nearest echo, in metres; None where there was none. Raises NoAnswerError."""
     if not numbers:
-        raise NoAnswer("the robot told no number of echoes")
+        raise NoAnswerError("the robot told no number of echoes")
     echoes = numbers[1 : 1 + 3 * numbers[0] : 3]
     return min(echoes) / 100.0 if echoes and min(echoes) > 0 else None
 
 
 def volts_in(numbers: list[int]) -> float:
-    """Returns a voltage, told in whole volts and ten-thousandths. Raises NoAnswer."""
+    """Returns a voltage, told in whole volts and ten-thousandths. Raises NoAnswerError."""
     if len(numbers) < 2:
-        raise NoAnswer("the robot told half a voltage")
+        raise NoAnswerError("the robot told half a voltage")
     return numbers[0] + numbers[1] / 10_000.0
 
 
 def share_in(numbers: list[int]) -> float:
-    """Returns the charge of the battery, 0 to 1. Raises NoAnswer."""
+    """Returns the charge of the battery, 0 to 1. Raises NoAnswerError."""
     if not numbers:
-        raise NoAnswer("the robot told no charge")
+        raise NoAnswerError("the robot told no charge")
     try:
         return level_of(numbers[0], 100.0)
     except PancakesError as error:
-        raise NoAnswer(str(error)) from None
+        raise NoAnswerError(str(error)) from None

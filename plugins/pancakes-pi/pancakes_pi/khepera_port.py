@@ -8,7 +8,7 @@ from collections.abc import Callable
 from typing import Any, Final
 
 from pancakes.devices.driver import DeviceContext, why_not_opened
-from pancakes_pi.khepera_lines import END, LONGEST, STAND, VERSION, NoAnswer, numbers_in, speeds
+from pancakes_pi.khepera_lines import END, LONGEST, STAND, VERSION, NoAnswerError, numbers_in, speeds
 
 FIRST_PAUSE_S: Final = 0.2
 LONGEST_PAUSE_S: Final = 5.0
@@ -156,7 +156,7 @@ class KheperaPort:
                     break
                 try:
                     numbers = numbers_in(line, command)
-                except NoAnswer as error:
+                except NoAnswerError as error:
                     self._hear_noise(line, error)
                     continue
                 self._silent = 0
@@ -168,7 +168,7 @@ class KheperaPort:
             raise OSError("the robot does not answer")
         return None
 
-    def _hear_noise(self, line: bytes, error: NoAnswer) -> None:
+    def _hear_noise(self, line: bytes, error: NoAnswerError) -> None:
         if line.strip() and not self._noisy:
             self._noisy = True
             self._say("warning", f"{self._port} is noisy: {error}; more of that is read past in silence")

@@ -46,7 +46,7 @@ class OneWireTemperature(Sensor):
             raise PancakesError(f"there are several chips in {folder}: set chip to one of {', '.join(chips)}")
         self._path = folder / (wanted or chips[0]) / "w1_slave"
 
-    def sample(self) -> Temperature:
+    def read(self) -> Temperature:
         try:
             celsius = celsius_in(self._path.read_text())
         except OSError as error:

@@ -76,13 +76,13 @@ class PinMotion(Sensor):
             # Called in a thread of gpiozero's.
             self._input.when_activated = lambda: self.context.deliver(Motion(True))
             self._input.when_deactivated = lambda: self.context.deliver(Motion(False))
-        self.context.deliver(self.sample())
+        self.context.deliver(self.read())
 
     def close(self) -> None:
         if self._input is not None:
             self._input.close()
 
-    def sample(self) -> Motion:
+    def read(self) -> Motion:
         return Motion(bool(self._input.is_active))
 
 
@@ -135,7 +135,7 @@ class PinDistance(Sensor):
         if self._sensor is not None:
             self._sensor.close()
 
-    def sample(self) -> Sonar | None:
+    def read(self) -> Sonar | None:
         settings = self.settings
         range_m = min(float(self._sensor.distance), settings.max_range_m)
         if range_m <= 0.0:  # so gpiozero says that it has measured nothing yet
@@ -208,12 +208,12 @@ class PinMotors(Actuator):
         for wheel in self._wheels:
             wheel.close()
 
-    def apply(self, command: Twist, ttl_s: float, source: str) -> None:
+    def write(self, command: Twist, ttl_s: float, source: str) -> None:
         wheels = self._drive.wheels(command)
         for wheel, speed_mps in zip(self._wheels, (wheels.left_mps, wheels.right_mps), strict=True):
             wheel.value = min(1.0, max(-1.0, speed_mps / self.settings.max_wheel_mps))
 
-    def hold(self) -> None:
+    def safe_stop(self) -> None:
         """Both wheels stand."""
         for wheel in self._wheels:
             wheel.stop()

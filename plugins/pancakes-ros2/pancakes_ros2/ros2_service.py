@@ -20,7 +20,7 @@ from typing import Any, Final
 from pancakes.control import Reply
 from pancakes.errors import PancakesError
 from pancakes.events import Event, LogLine, level_of
-from pancakes.kernel.handlers import Keep, Tick, every, on, queue
+from pancakes.kernel.handlers import QueuePolicy, Tick, every, on
 from pancakes.packet import LOG, SYSCTRL, Packet, agent_of
 from pancakes.service import Service
 from pancakes_ros2.lifecycle_states import state_of
@@ -109,10 +109,10 @@ class Ros2Service(Service):
             own = agent_of(packet.source) == self.agent
             for bridge in bridges:
                 # What this service took in from a topic does not go out again.
-                if packet.source != self.address and (own or bridge.row.foreign):
+                if packet.source != self.address and (own or bridge.row.include_remote):
                     bridge.send(packet.body)
 
-        self.subscribe(channel, packet, handle, Keep(256))
+        self.subscribe(channel, packet, handle, QueuePolicy(256))
 
     def _explain(self) -> None:
         for bridge in self._bridges:
@@ -145,7 +145,7 @@ class Ros2Service(Service):
 
     # The log ---------------------------------------------------------------------------------------------------
 
-    @on(LOG, None, keep=queue(1000))
+    @on(LOG, None, queue=1000)
     def said(self, packet: Packet) -> None:
         """Publishes a line or an event on /rosout."""
         if self._rosout is None or agent_of(packet.source) != self.agent:

@@ -76,7 +76,7 @@ class RosMotors(Actuator):
             self._node = None
             NODES.give_back(self.context.agent)
 
-    def apply(self, command: Twist, ttl_s: float, source: str) -> None:
+    def write(self, command: Twist, ttl_s: float, source: str) -> None:
         try:
             self._send(command)
         except Unusable as error:
@@ -87,11 +87,11 @@ class RosMotors(Actuator):
         if self._out is not None and self._out.ready and not self._out.readers:
             self._warn(f"no node listens to {self.settings.topic}: the wheels hear nothing")
 
-    def holds_by_itself(self, hold_after_s: float) -> float | None:
+    def watchdog_s(self, hold_after_s: float) -> float | None:
         """The robot's own time-out, as far as the settings say that it has one."""
         return self.settings.times_out_s
 
-    def hold(self) -> None:
+    def safe_stop(self) -> None:
         self._send(STANDS)
         self._tell("")
 

@@ -232,9 +232,9 @@ class RosNode:
         """Ends it, after all that was asked for before."""
         self.do(self._end)
 
-    def join(self, at_most_s: float) -> bool:
+    def join(self, timeout_s: float) -> bool:
         """Waits for the end of its thread; returns whether it has ended. No actor calls it."""
-        self._thread.join(at_most_s)
+        self._thread.join(timeout_s)
         return not self._thread.is_alive()
 
     def _end(self, node: Any) -> None:
@@ -247,7 +247,7 @@ class RosNode:
     def _run(self) -> None:
         try:
             node = self._open()
-        except Exception as error:  # whatever a foreign library does where it is loaded
+        except Exception as error:  # whatever a include_remote library does where it is loaded
             self._refuse_all(f"ROS 2 does not start: {error}")
             return
         try:

@@ -89,13 +89,13 @@ class RosSensor(NetworkSensor):
 
         def heard(message: Any) -> None:
             try:
-                self._came.put(self.read(kind, message))
+                self._came.put(self.decode(kind, message))
             except Unusable as error:
                 self.context.missed(f"a message of {self.settings.topic} is no reading: {error}")
 
         self._inlets = [self.inlet(node, kind, self.settings.topic, heard)]
 
-    def read(self, kind: str, message: Any) -> Any:
+    def decode(self, kind: str, message: Any) -> Any:
         """Returns the reading in a message of a type. Raises Unusable."""
         return CONVERSIONS[self.type, kind].read(message)
 
@@ -194,7 +194,7 @@ class RosBattery(RosSensor):
 
     settings: Settings
 
-    def read(self, kind: str, message: Any) -> Any:
+    def decode(self, kind: str, message: Any) -> Any:
         return read_battery(message, self.settings.full)
 
 
@@ -221,8 +221,8 @@ class RosMotion(RosSensor):
 
     settings: Settings
 
-    def read(self, kind: str, message: Any) -> Any:
-        motion = super().read(kind, message)
+    def decode(self, kind: str, message: Any) -> Any:
+        motion = super().decode(kind, message)
         return Motion(not motion.detected) if self.settings.invert else motion
 
 

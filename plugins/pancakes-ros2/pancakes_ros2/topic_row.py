@@ -35,7 +35,7 @@ class TopicRow:
             Pancakes. Without it, fields of one name are one field.
         frame: the frame of reference that a message with a header names; empty: the agent's name.
         max_hz: so many a second pass, where more come; the others are left out.
-        foreign: of `out`: whether packets of other agents count that come to that channel.
+        include_remote: of `out`: whether packets of other agents count that come to that channel.
         qos: how the messages are delivered.
     """
 
@@ -47,7 +47,7 @@ class TopicRow:
     fields: dict[str, str] = field(default_factory=dict)
     frame: str = ""
     max_hz: Hz = 100.0
-    foreign: bool = False
+    include_remote: bool = False
     qos: Quality = Quality()
 
     def __post_init__(self) -> None:

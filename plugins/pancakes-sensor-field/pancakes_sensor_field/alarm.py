@@ -47,7 +47,7 @@ class Alarm(Task):
     @on(SYSTEM, Report)
     def reported(self, packet: Packet) -> None:
         """Take a node's report."""
-        remember(self.state, packet.body, packet.stamp, self.settings)
+        remember(self.state, packet.body, packet.stamp_s, self.settings)
         self._judge()
 
     @every(hz=1)

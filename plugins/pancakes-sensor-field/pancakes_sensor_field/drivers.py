@@ -91,7 +91,7 @@ class LineNodes(Sensor):
             self._line.close()
         self._forget()
 
-    def sample(self) -> LineReport:
+    def read(self) -> LineReport:
         """Report how well the nodes are heard."""
         self._look_for_silence()
         station = self._station
@@ -335,15 +335,15 @@ class TinySiren(Actuator):
         self._wires = _wires(context)
         self._unheard = False
 
-    def apply(self, command: Siren, ttl_s: float, source: str) -> None:
+    def write(self, command: Siren, ttl_s: float, source: str) -> None:
         # Rather too short than too long: when the right to command it ends, another agent may have it.
         self._sound(min(int(10 * ttl_s + 1e-6), 32767) if command.sounds else 0)
 
-    def holds_by_itself(self, hold_after_s: float) -> float:
+    def watchdog_s(self, hold_after_s: float) -> float:
         """Return the hold time: the node counts each command's time to live."""
         return hold_after_s
 
-    def hold(self) -> None:
+    def safe_stop(self) -> None:
         """Silence it."""
         self._sound(0)
 

@@ -111,7 +111,7 @@ class TinyNodes(Task):
     def on_failure(self, *error: Any) -> None:
         self.on_stop()
 
-    @on(SYSTEM, FieldTruth, keep="latest")
+    @on(SYSTEM, FieldTruth, queue="latest")
     def feel(self, packet: Packet) -> None:
         """Pass changed readings to the nodes."""
         for name, celsius, moving in _changes(packet.body, self.settings.nodes, self._felt):
@@ -146,7 +146,7 @@ class SimulatedTinyNodes(Task):
     def on_failure(self, *error: Any) -> None:
         self.on_stop()
 
-    @on(SYSTEM, FieldTruth, keep="latest")
+    @on(SYSTEM, FieldTruth, queue="latest")
     def feel(self, packet: Packet) -> None:
         """Pass changed readings to the nodes."""
         for name, celsius, moving in _changes(packet.body, self.settings.nodes, self._felt):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from pancakes.devices import Motion, Temperature
-from pancakes.errors import MailboxFull
+from pancakes.errors import MailboxFullError
 from pancakes.packet import SYSTEM, Packet, join, task_address
 from pancakes.task import Task, Tick, every, on
 from pancakes_sensor_field.packets import Activity, Report
@@ -92,7 +92,7 @@ class Watch(Task):
         report = Report(self._node(), self.state.reports + 1, self._celsius, self._moving)
         try:
             self.publish(SYSTEM, report, to=task_address(self.settings.alarm))
-        except MailboxFull as error:
+        except MailboxFullError as error:
             if not self._full:
                 self._full = True
                 self.log("warning", f"reports of {report.node} are not made: {error}")

@@ -63,7 +63,7 @@ def info(agent: str, ask: Ask) -> None:
         pancakes agent info agent1 --format json
     """
     with ask.client() as client:
-        (found,) = client.survey(agent).agents
+        (found,) = client.describe(agent).agents
     ask.printer.emit([found], _sections(found, client.is_own))
 
 

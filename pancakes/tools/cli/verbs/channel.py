@@ -84,7 +84,7 @@ class Throughput:
         """Add a packet that arrived at a host time."""
         key = (packet.source, packet.type)
         it = self._series.get(key)
-        time_s = at_s if self._arrivals else packet.stamp
+        time_s = at_s if self._arrivals else packet.stamp_s
         if it is None or time_s < it.newest[-1].time_s:
             # Mission time went back: the agent was restarted, so begin a new series.
             it = self._series[key] = _PacketSeries(deque(maxlen=self._window))
@@ -282,7 +282,7 @@ HEADER: Final = "packet."
     "fields",
     metavar="PATH",
     multiple=True,
-    help="Show only this field of the body, such as x_m or ranges_m.0, or of the header: packet.stamp, packet.source,"
+    help="Show only this field of the body, such as x_m or ranges_m.0, or of the header: packet.stamp_s, packet.source,"
     " packet.type, packet.seq. Repeatable.",
 )
 @count_option("packets")
@@ -348,7 +348,7 @@ def record_of(agent: str, packet: Packet) -> dict[str, Any]:
         "channel": packet.channel,
         "type": packet.type,
         "source": packet.source,
-        "stamp": packet.stamp,
+        "stamp_s": packet.stamp_s,
         "seq": packet.seq,
         "number": packet.number,
         "cause": list(packet.cause) if packet.cause is not None else None,
@@ -358,7 +358,7 @@ def record_of(agent: str, packet: Packet) -> dict[str, Any]:
 
 def text_of(record: Mapping[str, Any]) -> str:
     """Return a record as a YAML document."""
-    lines = [f"{key}: {_scalar(record[key])}" for key in ("type", "source", "stamp", "number")]
+    lines = [f"{key}: {_scalar(record[key])}" for key in ("type", "source", "stamp_s", "number")]
     return "\n".join([*lines, *_lines("body", record["body"], ""), "---"])
 
 
@@ -502,7 +502,7 @@ def info(name: ChannelName, for_s: float, ask: Ask) -> None:
     with ask.client() as client:
         (found,) = request_result(client, name.agent, Channels(name.channel))
         throughput = Throughput(client.now())
-        with client.subscribe(str(name), foreign=True, max_waiting=MOST_WAITING) as subscriber:
+        with client.subscribe(str(name), include_remote=True, max_waiting=MOST_WAITING) as subscriber:
             for packet in listen(client, subscriber, for_s):
                 if packet is not None:
                     throughput.add(packet.packet, packet.at_s, size_of(packet.packet))

@@ -10,7 +10,7 @@ from typing import Any
 import click
 
 from pancakes.control import Describe
-from pancakes.errors import ConfigError, ControlRefused, Fault, NoAnswer, Unreachable
+from pancakes.errors import ConfigError, ControlRefusedError, Fault, NoAnswerError, UnreachableError
 from pancakes.tools.cli.agent_requests import request_result
 from pancakes.tools.cli.exit_codes import BAD_CONFIGURATION, OK
 from pancakes.tools.cli.options import AGENT_NAME, Ask, asks_agents, format_option, format_option_of
@@ -144,13 +144,15 @@ def _of_agent(agent: str, ask: Ask) -> tuple[dict[str, Any], Origin]:
     with ask.client() as client:
         try:
             found = request_result(client, agent, Describe(config=True))
-        except NoAnswer:
+        except NoAnswerError:
             raise
-        except Unreachable as error:
+        except UnreachableError as error:
             no_file = f"{agent!r} is a folder" if Path(agent).is_dir() else f"the file {agent!r} does not exist either"
-            raise Unreachable(f"{error}\n{no_file}") from None
-        except ControlRefused as error:
-            raise ControlRefused(f"{error}; pancakes task info {agent}/TASK shows the settings of one task") from None
+            raise UnreachableError(f"{error}\n{no_file}") from None
+        except ControlRefusedError as error:
+            raise ControlRefusedError(
+                f"{error}; pancakes task info {agent}/TASK shows the settings of one task"
+            ) from None
 
     def origin(keys: tuple[str, ...]) -> str:
         of_task = keys[0] == "task" and len(keys) > 1 and keys[1] in found["created"]

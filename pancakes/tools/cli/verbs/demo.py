@@ -21,7 +21,7 @@ from pancakes.tools.cli.output import Printer, show_text
 from pancakes.tools.cli.streaming import end_by_signals, event_at
 from pancakes.tools.cli.verbs.demo_seeds import Seeds, nice_path, run_seeds
 from pancakes.tools.cli.verbs.view import port_option
-from pancakes.util.plugins import Plugins, UnknownPlugin
+from pancakes.util.plugins import Plugins, UnknownPluginError
 
 if TYPE_CHECKING:
     from pancakes.tools.demo import Comparison, Demo, Run
@@ -334,7 +334,7 @@ class _Options:
 def _find(plugins: Plugins, name: str) -> Demo | Comparison:
     try:
         found: Demo | Comparison = plugins.get("pancakes.demos", name)
-    except UnknownPlugin as error:
+    except UnknownPluginError as error:
         raise click.BadParameter(str(error), param_hint="NAME") from None
     return found
 

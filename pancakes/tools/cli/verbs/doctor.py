@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from pancakes.errors import Unreachable
+from pancakes.errors import UnreachableError
 from pancakes.tools.cli.exit_codes import OK, REFUSED
 from pancakes.tools.cli.options import Ask, asks_agents
 from pancakes.tools.cli.output import show_text
@@ -95,8 +95,8 @@ def _ask_agents(ask: Ask, client: Client) -> Facts | Finding:
             return Finding("ok", "agents", f"no agent{f' of the fleet {fleet}' if fleet else ''} runs on this machine")
     now_s = wall_ns() / 1e9
     try:
-        found = client.survey()
-    except Unreachable as error:
+        found = client.describe()
+    except UnreachableError as error:
         return Facts(silent=str(error).splitlines(), entries=here)
     guarded = client.request_all(Guarding(), *(agent["agent"] for agent in found.agents))
 

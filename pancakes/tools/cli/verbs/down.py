@@ -8,7 +8,7 @@ from pathlib import Path
 
 import click
 
-from pancakes.errors import ControlRefused
+from pancakes.errors import ControlRefusedError
 from pancakes.tools.cli.agent_requests import confirm, force_option
 from pancakes.tools.cli.graceful_stop import GracefulStop
 from pancakes.tools.cli.options import Ask, agents, dry_run_option, orders_agents
@@ -69,7 +69,7 @@ def down(agents: tuple[str, ...], all_: bool, file: Path | None, force: bool, dr
         if not here:
             fleet = ask.where.fleet
             if fleet and other_fleets(fleet):
-                raise ControlRefused(why_none(fleet))
+                raise ControlRefusedError(why_none(fleet))
             show_text(f"no agent{f' of the fleet {fleet}' if fleet else ''} runs on this machine", err=True)
         elif not ask.where.fleet:
             fleets = sorted({entry.fleet for entry in here.values()})

@@ -68,14 +68,14 @@ def spread(authority: Authority, addresses: Sequence[str], printer: Printer, mus
     Raises:
         PancakesError: an agent does not apply the roster, or none could be reached; the sentences say why.
     """
-    from pancakes.client import Client, Where
+    from pancakes.client import Client, Target
     from pancakes.security.roster import read_signed
 
     number = read_signed((authority.folder / "roster.json").read_bytes())[1].number
     try:
         if key_store.keys_of_person(authority.fleet) is None:
             raise PancakesError(f"you have no keys of the fleet {authority.fleet}, so you cannot reach its agents")
-        with Client(Where.of(Where(tuple(addresses), authority.fleet)), TOLD_S) as client:
+        with Client(Target.of(Target(tuple(addresses), authority.fleet)), TOLD_S) as client:
             have_it, problems, silent = _wait_for_roster(client, number)
         if not have_it and not problems:
             raise PancakesError("\n".join(silent) or "no agent that answers has keys of the fleet")
@@ -110,7 +110,7 @@ def _wait_for_roster(client: Client, number: int) -> tuple[list[str], list[str],
     """
     until_s = client.now() + TOLD_S
     while True:
-        survey = client.survey()
+        survey = client.describe()
         found = [agent for agent in survey.agents if agent["roster"] is not None]  # an agent without keys has no roster
         if later := [agent for agent in found if agent["roster"] > number]:
             raise PancakesError(

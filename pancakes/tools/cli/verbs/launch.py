@@ -237,7 +237,7 @@ def let_begin(pids: Mapping[str, int], members: Sequence[Member], hosts: Mapping
 def _begin(
     stack: ExitStack, held: Sequence[Member], pids: Mapping[str, int], tunnel_of: Mapping[str, str]
 ) -> list[str]:
-    from pancakes.client import Client, Where
+    from pancakes.client import Client, Target
     from pancakes.control import Begin
     from pancakes.util.clock import MonotonicClock
     from pancakes.util.runtime_dir import entries
@@ -253,8 +253,8 @@ def _begin(
     clients: dict[str, Client] = {}
     for fleet in dict.fromkeys(it.config.agent.fleet for it in held if addresses[it.name]):
         names = [it.name for it in held if it.config.agent.fleet == fleet and addresses[it.name]]
-        client = stack.enter_context(Client(Where(tuple(addresses[name] for name in names), fleet), REACH_S))
-        client.survey(*names)
+        client = stack.enter_context(Client(Target(tuple(addresses[name] for name in names), fleet), REACH_S))
+        client.describe(*names)
         clients.update(dict.fromkeys(names, client))
     begin_s = now() + COUNTDOWN_S
     for name, client in clients.items():

@@ -12,7 +12,7 @@ import click
 
 from pancakes.client import Client
 from pancakes.control import History
-from pancakes.errors import ControlRefused, PancakesError
+from pancakes.errors import ControlRefusedError, PancakesError
 from pancakes.events import LEVELS, SAID_IN_A_LINE, line_of, record_of
 from pancakes.packet import LOG
 from pancakes.services.log import REMEMBERED
@@ -155,14 +155,14 @@ def _merged(client: Client, described: Sequence[Mapping[str, Any]], since_s: flo
     for agent in described:
         try:
             records = _remembered(client, agent["agent"], since_s)
-        except ControlRefused as error:
+        except ControlRefusedError as error:
             refusals.append(f"{agent['agent']} refuses to show its log: {error}")
         else:
             # Its mission time is nearly the present one, because all agents have just been asked.
             now_s, speed, name = agent["mission_s"], agent["speed"], agent["agent"]
             dated.extend(((record["t_s"] - now_s) / speed, name, record) for record in records)
     if refusals and len(refusals) == len(described):
-        raise ControlRefused("\n".join(refusals))
+        raise ControlRefusedError("\n".join(refusals))
     for refusal in refusals:
         say(refusal)
     return [(name, record) for _, name, record in sorted(dated, key=lambda it: it[0])]
@@ -203,11 +203,11 @@ def _followed(client: Client, agents: Sequence[str], since_s: float | None) -> I
                 known.setdefault(agent["agent"], Known()).ask(of_agent)
             return (record for name, record in records if known[name].is_new(record))
 
-        yield from remembered(client.survey(*agents).agents)
+        yield from remembered(client.describe(*agents).agents)
         for received in listen(client, subscriber):
             while resubscribed:
                 try:
-                    yield from remembered(client.survey(resubscribed.pop()).agents)
+                    yield from remembered(client.describe(resubscribed.pop()).agents)
                 except PancakesError as error:
                     say(str(error))
             if received is not None:

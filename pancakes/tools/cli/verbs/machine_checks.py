@@ -159,7 +159,7 @@ def check_state_dirs(base: Path) -> Iterator[Finding]:
 def _check_journal(directory: Path) -> Finding:
     """Check an agent's journal without opening it: that would count a boot and lock the agent out."""
     from pancakes.journal.file_journal import WRITE_AHEAD, fault_of, read_ahead
-    from pancakes.journal.journal import BAD, SUFFIX, Unbelievable, name_of, unseal
+    from pancakes.journal.journal import BAD, SUFFIX, DamagedEntryError, name_of, unseal
 
     about = f"state of {directory.parent.name}/{directory.name}"
     torn = []
@@ -171,7 +171,7 @@ def _check_journal(directory: Path) -> Finding:
                 unseal("", path.read_bytes())
             except FileNotFoundError:
                 continue  # a running agent replaces its entries
-            except Unbelievable as error:
+            except DamagedEntryError as error:
                 torn.append(f"{path.name} {error}")
         ahead = read_ahead((directory / WRITE_AHEAD).read_bytes() if (directory / WRITE_AHEAD).exists() else b"")
         present |= {name_of(entry.kind, entry.key) for batch in ahead.batches for entry in batch.entries}

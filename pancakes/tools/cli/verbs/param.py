@@ -10,7 +10,7 @@ import click
 
 from pancakes.client import Client
 from pancakes.control import Configure, Describe
-from pancakes.errors import ControlRefused
+from pancakes.errors import ControlRefusedError
 from pancakes.tools.cli.agent_requests import request, request_result, resolve_fleet, resolve_service, survey_with
 from pancakes.tools.cli.exit_codes import OK, REFUSED
 from pancakes.tools.cli.options import Ask, TaskName, a_task, asks_agents, dry_run_option, orders_agents
@@ -167,7 +167,7 @@ def load(name: TaskName, file: Path, dry_run: bool, ask: Ask) -> None:
     settings = param_file.read(file)
     if name.task:
         if name.task not in settings:
-            raise ControlRefused(f"{file} has no settings of {name.task!r}. It has those of {', '.join(settings)}")
+            raise ControlRefusedError(f"{file} has no settings of {name.task!r}. It has those of {', '.join(settings)}")
         settings = {name.task: settings[name.task]}
     rows = []
     with ask.client() as client:
@@ -179,7 +179,7 @@ def load(name: TaskName, file: Path, dry_run: bool, ask: Ask) -> None:
                 row["service"] = found.service
                 request_result(client, name.agent, Configure(found.target, values, dry_run))
                 rows.append({**row, "done": DRY_RUN if dry_run else "set", "reason": ""})
-            except ControlRefused as error:
+            except ControlRefusedError as error:
                 rows.append({**row, "done": "refused", "reason": str(error)})
     for row in rows:
         if row["reason"]:
@@ -198,7 +198,7 @@ def _described(client: Client, name: TaskName | None) -> list[dict[str, Any]]:
         for task in agent["tasks"]:
             try:
                 described.append(request_result(client, agent["agent"], Describe(f"{task['service']}/{task['task']}")))
-            except ControlRefused as error:  # the task may have migrated meanwhile
+            except ControlRefusedError as error:  # the task may have migrated meanwhile
                 show_text(str(error), err=True)
     return described
 
@@ -207,12 +207,12 @@ def _known(described: dict[str, Any], setting: str) -> str:
     """Return the name of a setting if the task has it; an empty string stays empty.
 
     Raises:
-        ControlRefused: the task has no setting of this name.
+        ControlRefusedError: the task has no setting of this name.
     """
     names = list(described["settings_schema"].get("properties", described["settings"]))
     if setting and setting not in names:
         hint = hint_of(setting, names)
-        raise ControlRefused(f"{described['agent']}/{described['task']} has no setting {setting!r}{hint}")
+        raise ControlRefusedError(f"{described['agent']}/{described['task']} has no setting {setting!r}{hint}")
     return setting
 
 

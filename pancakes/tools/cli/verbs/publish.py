@@ -40,7 +40,7 @@ from pancakes.util.codecs import MALFORMED, why_malformed
 from pancakes.util.text import hint_of
 
 
-class BadBody(PancakesError):
+class BadBodyError(PancakesError):
     """A text is not a valid body of a packet."""
 
 
@@ -48,28 +48,28 @@ def body_of(kind: str, text: str) -> Any:
     """Return the body of a packet of the type `kind`, from JSON. The types must be loaded (`load_packets`).
 
     Raises:
-        BadBody: the type does not exist, or the text does not fit it; the sentence names the field.
+        BadBodyError: the type does not exist, or the text does not fit it; the sentence names the field.
     """
     cls = body_class(kind)
     if cls is None:
-        raise BadBody(f"no packet type {kind!r} is installed here{hint_of(kind, known_types())}")
+        raise BadBodyError(f"no packet type {kind!r} is installed here{hint_of(kind, known_types())}")
     try:
         given: Any = codecs.json_decoder()(text)
     except MALFORMED as error:
         why = why_malformed(error).removeprefix("JSON is malformed: ")
-        raise BadBody(f"the body is not JSON: {_lower(why)}") from None
+        raise BadBodyError(f"the body is not JSON: {_lower(why)}") from None
     if not isinstance(given, Mapping):
-        raise BadBody(f"the body must be a JSON object with the fields of {kind}: {_fields(cls)}")
+        raise BadBodyError(f"the body must be a JSON object with the fields of {kind}: {_fields(cls)}")
     try:
         body: Any = codecs.convert(given, cls)
     except msgspec.ValidationError as error:
-        raise BadBody(f"{_sentence(kind, str(error))}; its fields are {_fields(cls)}") from None
+        raise BadBodyError(f"{_sentence(kind, str(error))}; its fields are {_fields(cls)}") from None
     for path, names in _unknown(given, msgspec.to_builtins(body)):
         name = path.rpartition(".")[2]
         whole = f"{kind}.{path.rpartition('.')[0]}".rstrip(".")
         if not names:
-            raise BadBody(f"{whole} takes no fields (got {name!r})")
-        raise BadBody(f"{whole} has no field {name!r}{hint_of(name, names)}")
+            raise BadBodyError(f"{whole} takes no fields (got {name!r})")
+        raise BadBodyError(f"{whole} has no field {name!r}{hint_of(name, names)}")
     return body
 
 
@@ -150,7 +150,7 @@ def pub(
     Plugins().load_packets()
     try:
         packet_body = body_of(kind, body)
-    except BadBody as error:
+    except BadBodyError as error:
         raise click.UsageError(str(error)) from None
     destination = _destination(name.agent, to)
     with until_ended(), ask.client() as client:
@@ -202,8 +202,8 @@ class Sender:
         subscribers: the addresses that get it.
 
     Raises:
-        ControlRefused: the agent has no such channel.
-        Unreachable: the agent does not answer.
+        ControlRefusedError: the agent has no such channel.
+        UnreachableError: the agent does not answer.
     """
 
     def __init__(self, client: Client, name: ChannelName, body: Any, destination: str) -> None:
@@ -217,8 +217,8 @@ class Sender:
         """Publish at most `most` packets (None: endlessly) at a rate, and yield after each.
 
         Raises:
-            ControlRefused: the agent refuses a control packet.
-            Unreachable: the agent went away.
+            ControlRefusedError: the agent refuses a control packet.
+            UnreachableError: the agent went away.
         """
         began_s = self._client.now()
         for number in count() if most is None else range(most):

@@ -10,7 +10,7 @@ import click
 
 from pancakes.client import Client
 from pancakes.control import Describe, History, Start, Stop
-from pancakes.errors import ControlRefused
+from pancakes.errors import ControlRefusedError
 from pancakes.tools.cli.agent_requests import request, survey_with
 from pancakes.tools.cli.exit_codes import REFUSED
 from pancakes.tools.cli.listening import doubt_types
@@ -104,7 +104,7 @@ def stop(agents: tuple[str, ...], dry_run: bool, ask: Ask) -> None:
             request(client, agent, Stop(RECORDER, dry_run=dry_run))
             rows.append({"agent": agent, "done": DRY_RUN if dry_run else "complete", "path": path})
     if not rows:
-        raise ControlRefused("no agent is recording")
+        raise ControlRefusedError("no agent is recording")
     ask.printer.table(rows, COLUMNS)
 
 
@@ -246,7 +246,7 @@ def _check_channels(channels: tuple[str, ...], agents: list[dict[str, Any]]) -> 
         if channel == CHANNEL or not lacking:
             continue
         if len(lacking) == len(agents):
-            raise ControlRefused(f"no agent has a channel {channel!r}. They have {', '.join(known)}")
+            raise ControlRefusedError(f"no agent has a channel {channel!r}. They have {', '.join(known)}")
         show_text(f"{', '.join(lacking)}: no channel {channel!r}, so it is not recorded there", err=True)
 
 

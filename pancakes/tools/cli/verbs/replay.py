@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from pancakes.client import Where
+from pancakes.client import Target
 from pancakes.tools.cli.agent_requests import survey_with
 from pancakes.tools.cli.options import AGENT_NAME, Ask, Duration, FiniteRange, dry_run_option, orders_agents
 from pancakes.tools.cli.output import DRY_RUN, Printer
@@ -99,7 +99,7 @@ def replay(
 
     if bool(configs) != bool(out):
         raise click.UsageError("--config and --out need each other: the result is recorded into --out")
-    if configs and ask.where != Where():
+    if configs and ask.where != Target():
         raise click.UsageError("--at and --fleet are for running agents, --config starts agents: use only one of them")
     if to_s is not None and to_s <= (from_s or 0.0):
         raise click.UsageError(f"--to {to_s:g}s is not after --from {from_s or 0.0:g}s")
@@ -124,12 +124,12 @@ class _ReplayRequest:
 
     def select(self, agents: dict[str, Live]) -> tuple[Selection, Tally]:
         """Return the selection of packets for these agents, and its counts."""
-        from pancakes.errors import Unreachable
+        from pancakes.errors import UnreachableError
         from pancakes.tools.replay.replay import tally_of
 
         as_name = self.wanted.as_name
         if as_name and as_name not in agents:
-            raise Unreachable(f"there is no agent {as_name!r}, only {', '.join(sorted(agents))}")
+            raise UnreachableError(f"there is no agent {as_name!r}, only {', '.join(sorted(agents))}")
         selection = replace(self.wanted, agents=agents)
         tally = tally_of(selection, self.reader.entries())
         for note in self.reader.notes():

@@ -159,7 +159,7 @@ def _plain(difference: Difference) -> dict[str, Any]:
     packet = difference.packet
     return {
         "kind": difference.kind,
-        "time_s": packet.stamp,
+        "time_s": packet.stamp_s,
         **key_of(packet)._asdict(),
         "seq": packet.seq,
         "cause": list(packet.cause) if packet.cause is not None else None,
@@ -193,7 +193,7 @@ def _lines(difference: Difference) -> list[str]:
     from pancakes.tools.replay.comparison import DIFFERENT, key_of
 
     packet = difference.packet
-    head = f"{packet.stamp:9.3f} s  {_named(key_of(packet))}"
+    head = f"{packet.stamp_s:9.3f} s  {_named(key_of(packet))}"
     if difference.kind != DIFFERENT:
         return [f"{head}: {difference.kind}: {_short(body_to_plain(packet.body))}"]
     return [f"{head}: {it.field} was {_short(it.recorded)}, is {_short(it.now)}" for it in difference.fields]

@@ -7,7 +7,7 @@ from typing import Any
 import click
 
 from pancakes.control import Restart, Start, Stop
-from pancakes.errors import ControlRefused
+from pancakes.errors import ControlRefusedError
 from pancakes.supervision.restart import tries
 from pancakes.tools.cli.agent_requests import confirm, force_option, request, show_done, survey
 from pancakes.tools.cli.options import (
@@ -67,7 +67,7 @@ def info(name: ServiceName, ask: Ask) -> None:
     rows = {row["service"]: row for row in agent["services"]}
     if name.service not in rows:
         hint = hint_of(name.service, list(rows))
-        raise ControlRefused(f"{name.agent} has no service {name.service!r}{hint}")
+        raise ControlRefusedError(f"{name.agent} has no service {name.service!r}{hint}")
     tasks = [row for row in agent["tasks"] if row["service"] == name.service]
     found: dict[str, Any] = {**rows[name.service], "tasks": tasks}
     facts = {**{key: found[key] for key in ("type", "state", "reason")}, "tries": tries(found)}

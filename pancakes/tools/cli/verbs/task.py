@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from pancakes.control import Create, Describe, Remove, Reschedule, Restart, Start, Stop
-from pancakes.errors import NoAnswer
+from pancakes.errors import NoAnswerError
 from pancakes.supervision.restart import tries
 from pancakes.tools.cli.agent_requests import (
     confirm,
@@ -323,7 +323,7 @@ def _kept(client: Client, name: TaskName, timeout_s: float) -> dict[str, Any]:
     """Return the state of a task and its mission time, or the reason why the state is not known."""
     try:
         reply = client.request(name.agent, Describe(name.target, state=True))
-    except NoAnswer:  # its service has just answered, so only the task itself is busy
+    except NoAnswerError:  # its service has just answered, so only the task itself is busy
         busy = f"{name} did not report its state within {timeout_s:g} s: it may be busy. Try again or raise --timeout"
         return {"kept_state": None, "kept_state_s": None, "kept_state_reason": busy}
     if not reply.ok:

@@ -9,7 +9,7 @@ import click
 import msgspec
 
 from pancakes.control import Adopt, Checkpoints, Forget, Migrate, Migrations, Reply
-from pancakes.errors import ControlRefused, NoAnswer, PancakesError
+from pancakes.errors import ControlRefusedError, NoAnswerError, PancakesError
 from pancakes.tools.cli.agent_requests import ask_each, confirm, force_option, request, request_confirmed, resolve_fleet
 from pancakes.tools.cli.options import (
     AGENT_NAME,
@@ -78,15 +78,15 @@ def migrate(name: TaskName, to: str, then: str, cost: str, dry_run: bool, ask: A
         name = resolve_fleet(client, name)
         try:
             reply = client.request(name.agent, Migrate(name.target, to, then, cost, dry_run))
-        except NoAnswer as error:
+        except NoAnswerError as error:
             if dry_run:
                 raise
             hint = f"the migration may still continue: pancakes task migrations {name.agent} shows its outcome"
-            raise NoAnswer(f"{error}\n{hint}") from None
+            raise NoAnswerError(f"{error}\n{hint}") from None
     if reply.result is not None:
         _show_ledger(reply.result, ask.printer)
     if not reply.ok:
-        raise ControlRefused.of(reply.refusal)
+        raise ControlRefusedError.of(reply.refusal)
 
 
 @click.command()

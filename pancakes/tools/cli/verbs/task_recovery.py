@@ -27,7 +27,7 @@ from pancakes.control import (
     Take,
 )
 from pancakes.durable.record import TaskId
-from pancakes.errors import ControlRefused, MigrationError, PancakesError
+from pancakes.errors import ControlRefusedError, MigrationError, PancakesError
 from pancakes.packet import join
 from pancakes.tools.cli.agent_requests import (
     ask_each,
@@ -231,17 +231,17 @@ def _must_be_lost(client: Client, name: TaskName, services: set[str], held: Sequ
         The task's id if it is paused on the agent that should run it; otherwise an empty text.
 
     Raises:
-        ControlRefused: it runs, or is about to be taken over.
+        ControlRefusedError: it runs, or is about to be taken over.
     """
-    for agent in client.survey().agents:
+    for agent in client.describe().agents:
         for row in agent["tasks"]:
             meant_here = row["task"] == name.task and row["service"] in (services or {row["service"]})
             if not meant_here or row["state"] not in RUNS:
                 continue
             if row.get("guarding") is None or row["guarding"]["permit_s"]:
-                raise ControlRefused(f"{name.task} is {row['state']} on {agent['agent']}: it is not lost")
+                raise ControlRefusedError(f"{name.task} is {row['state']} on {agent['agent']}: it is not lost")
             if agent["agent"] != name.agent:
-                raise ControlRefused(
+                raise ControlRefusedError(
                     f"{name.task} is paused on {agent['agent']}, with its state: `pancakes task revive"
                     f" {agent['agent']}/{name.task}` resumes it there without its guardians"
                 )
@@ -249,7 +249,7 @@ def _must_be_lost(client: Client, name: TaskName, services: set[str], held: Sequ
     guarding = [row for row in held if row["guardians"]]
     if guarding and has_quorum(newest(guarding), guarding):
         row = newest(guarding)
-        raise ControlRefused(
+        raise ControlRefusedError(
             f"more than half of the guardians of {row['task_id']} answer, so it is not lost: one of them takes over"
             f" by itself, or after `pancakes task take {row['agent']}/{name.task}`"
         )
@@ -286,22 +286,22 @@ def _from_newest(client: Client, name: TaskName, held: Sequence[dict[str, Any]])
     """Fetch the newest checkpoint, and return the request that starts the task from it.
 
     Raises:
-        ControlRefused: no agent holds a checkpoint, or the held ones are of several tasks.
+        ControlRefusedError: no agent holds a checkpoint, or the held ones are of several tasks.
     """
     if not held:
-        raise ControlRefused(
+        raise ControlRefusedError(
             f"no agent that answers holds a checkpoint of {name.task}. To start it from scratch on {name.agent}, pass"
             " --config FILE with the configuration of the lost agent"
         )
     ids = sorted({row["task_id"] for row in held})
     if len(ids) > 1:
-        raise ControlRefused(f"agents hold checkpoints of {' and '.join(ids)}: choose one with --birthplace")
+        raise ControlRefusedError(f"agents hold checkpoints of {' and '.join(ids)}: choose one with --birthplace")
     row = newest(held)
     asked = Checkpoints(name.task, row["task_id"].partition("/")[0], body=True)
     bodies = request(client, row["agent"], asked).result
     body = next((it for it in bodies if (it["epoch"], it["no"]) == (row["epoch"], row["no"])), None)
     if body is None:
-        raise ControlRefused(f"{row['agent']} holds another checkpoint of {row['task_id']} by now: try again")
+        raise ControlRefusedError(f"{row['agent']} holds another checkpoint of {row['task_id']} by now: try again")
     checkpoint = HeldCheckpoint(body["snapshot"], tuple(row["epoch"]), row["no"], story_of(row))
     return Revive(row["task_id"], service=name.service or row["service"], checkpoint=checkpoint)
 
@@ -330,19 +330,19 @@ def resolve(name: TaskName, birthplace: str, force: bool, dry_run: bool, ask: As
     """
     with ask.client() as client:
         name = resolve_service(client, name)
-        agents = client.survey().agents
+        agents = client.describe().agents
         here = next((_task(agent, name) for agent in agents if agent["agent"] == name.agent), None)
         if here is None:
-            raise ControlRefused(f"{name.agent} has no task {name.task}")
+            raise ControlRefusedError(f"{name.agent} has no task {name.task}")
         if here["rest"] == "forgotten" or here["rest"].startswith("moved"):
-            raise ControlRefused(f"{name} is not owned by {name.agent}: {here['rest']}")
+            raise ControlRefusedError(f"{name} is not owned by {name.agent}: {here['rest']}")
         others = [_owner(client, agent["agent"], name, birthplace) for agent in agents if agent["agent"] != name.agent]
         owners = [owner for owner in others if owner is not None]
         is_disputed = here["rest"] == DISPUTED
         if not owners and not is_disputed:
-            raise ControlRefused(f"{name} is owned only by {name.agent}, as far as the agents that answer know")
+            raise ControlRefusedError(f"{name} is owned only by {name.agent}, as far as the agents that answer know")
         if not owners and not force:
-            raise ControlRefused(
+            raise ControlRefusedError(
                 f"the other owner of {name} does not answer: {here['reason']}. With --force this copy is kept anyway,"
                 " and the other copy is paused when it is back"
             )
@@ -452,8 +452,8 @@ def fences_of(client: Client, agent: str, target: str) -> list[dict[str, Any]]:
         target: the actuator, as `service/device`.
 
     Raises:
-        ControlRefused: the agent has no such device.
-        Unreachable: the agent does not answer.
+        ControlRefusedError: the agent has no such device.
+        UnreachableError: the agent does not answer.
     """
     rows: list[dict[str, Any]] = []
     for mark in request_result(client, agent, Describe(target)).get("fences", []):

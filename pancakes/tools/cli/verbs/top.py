@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 import click
 
 from pancakes.client import Client, RateMeter
-from pancakes.errors import Unreachable
+from pancakes.errors import UnreachableError
 from pancakes.tools.cli.agent_requests import survey_with
 from pancakes.tools.cli.options import Ask, Duration, asks_agents
 from pancakes.tools.cli.options import agents as some_agents
@@ -121,13 +121,13 @@ def _looks(client: Client, agents: Sequence[str], every_s: float, once: bool) ->
         try:
             # An agent that does not answer must not delay the next look at the others.
             limit_s = client.timeout_s if once else min(client.timeout_s, max(every_s, SHORTEST_LOOK_S))
-            described = client.survey(*agents, timeout_s=limit_s).agents
-        except Unreachable:
+            described = client.describe(*agents, timeout_s=limit_s).agents
+        except UnreachableError:
             described = []
         rows = meter.update(described)
         if once:
             if not described:
-                raise Unreachable(f"{', '.join(row['agent'] for row in rows)} answered once, but not again")
+                raise UnreachableError(f"{', '.join(row['agent'] for row in rows)} answered once, but not again")
             yield rows
             return
 

@@ -58,7 +58,7 @@ def view(control: bool, foxglove: bool, port: int | None, open_: bool, ask: Ask)
 
     ended = event_at(signal.SIGINT, signal.SIGTERM)
     with ask.client() as client:
-        fleet = fleet_among(client.survey().agents, ask.where.fleet)
+        fleet = fleet_among(client.describe().agents, ask.where.fleet)
     began_s = time.monotonic()
     feed = Feed(lambda: time.monotonic() - began_s)
     watch = Watch(feed, ask.where.addresses, fleet, ask.timeout_s)

@@ -10,7 +10,7 @@ import click
 import msgspec
 
 from pancakes.control import LONGEST_S, SHORTEST_S, Describe, Measure, Migrate, Reschedule
-from pancakes.errors import ControlRefused, RemoteProtocolError
+from pancakes.errors import ControlRefusedError, RemoteProtocolError
 from pancakes.tools.cli.agent_requests import request, request_result, resolve_service
 from pancakes.tools.cli.options import (
     AGENT_NAME,
@@ -155,7 +155,7 @@ def without(agent: str, cost: str, for_s: float, ask: Ask) -> None:
         for target in running:
             try:
                 ledger = _bids(client, agent, target, "", cost)
-            except ControlRefused as error:
+            except ControlRefusedError as error:
                 rows.append({"task": target, "goes to": "", "cost": None, "reason": str(error)})
                 continue
             places[target] = str(ledger["winner"])
@@ -169,7 +169,7 @@ def _bids(client: Client, agent: str, target: str, to: str, cost: str) -> Mappin
     """Return the ledger of a dry run of a migration.
 
     Raises:
-        ControlRefused: no agent would take the task; the message is the reason.
+        ControlRefusedError: no agent would take the task; the message is the reason.
     """
     ledger: Mapping[str, Any] = request(client, agent, Migrate(target, to, "", cost, dry_run=True)).result
     return ledger
