@@ -15,6 +15,7 @@ __version__ = "0.1.0"
 if TYPE_CHECKING:
     from pancakes.client import AsyncClient as AsyncClient
     from pancakes.client import Client as Client
+    from pancakes.client import Target as Target
     from pancakes.devices.builtin_drivers import NetworkSensor as NetworkSensor
     from pancakes.devices.builtin_drivers import NullSensor as NullSensor
     from pancakes.devices.driver import Actuator as Actuator
@@ -42,13 +43,14 @@ if TYPE_CHECKING:
     from pancakes.settings import Positive as Positive
     from pancakes.simulation import Simulation as Simulation
     from pancakes.task import Task as Task
+    from pancakes.task import TaskSpec as TaskSpec
     from pancakes.task import Tick as Tick
     from pancakes.task import every as every
     from pancakes.task import on as on
     from pancakes.task import reliable as reliable
 
 _MODULES = {
-    "pancakes.client": ("AsyncClient", "Client"),
+    "pancakes.client": ("AsyncClient", "Client", "Target"),
     "pancakes.devices.builtin_drivers": ("NetworkSensor", "NullSensor"),
     "pancakes.devices.driver": ("Actuator", "DeviceContext", "Hardware", "Sensor"),
     "pancakes.errors": ("ClassError", "PancakesError"),
@@ -61,7 +63,7 @@ _MODULES = {
     "pancakes.service": ("Service",),
     "pancakes.settings": ("FilePath", "NotNegative", "Positive"),
     "pancakes.simulation": ("Simulation",),
-    "pancakes.task": ("Task", "Tick", "every", "on", "reliable"),
+    "pancakes.task": ("Task", "TaskSpec", "Tick", "every", "on", "reliable"),
 }
 _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
 

@@ -527,6 +527,8 @@ class ActorCore(Component):
         """Put back in front what was held, in its order."""
         held, self.__held = self.__held, ()
         self.actor_inbox.control.extendleft(reversed(held))
+        if held:
+            self.actor_inbox.wake()
 
     @property
     def is_frozen(self) -> bool:

@@ -67,8 +67,8 @@ TASKS = {
     ),
     "kind": ("class Task: pass\n", "'kind.Task' is not a task but the class Task"),
     "class": (
-        "from pancakes import task\nclass Task(task.Task):\n    @task.every(hz=1)\n    async def go(self, t): ...\n",
-        "plugin_class.py:4: Task.go is `async def`",
+        "from pancakes import task\nclass Task(task.Task):\n    @task.every(hz=1)\n    def go(self): ...\n",
+        "plugin_class.py:4: Task.go takes (self)",
     ),
 }
 

@@ -65,7 +65,7 @@ def test_down_reports_a_silent_agent(rig: Rig, freeze: Callable[[Running], None]
     result = rig.pancakes("down", "--timeout", "2", "--format", "json")
     assert (result.returncode, rows(result.stdout)) == (3, [("a", "ended")])
     assert result.stderr.splitlines() == [
-        "ends a, b of the fleet test",
+        "stopping a, b of the fleet test",
         f"b ({rig.addresses(b)[0]}) did not answer: nothing came within 2 s",
         f"b does not answer: sent a signal to its process {b.pid}",
         f"b (process {b.pid}) has not ended within 2 s",

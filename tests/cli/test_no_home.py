@@ -55,7 +55,7 @@ def test_unknown_folders_are_reported_with_their_variables(nameless: Rig):
 
     done = pancakes(nameless, "fleet", "init", "garage", "--me", "eve", "--no-password")
     assert done.returncode == 1
-    assert "nothing says where what this person has of fleets belongs" in done.stderr
+    assert "nothing says where the fleets of this person belong" in done.stderr
     assert "Set HOME or XDG_CONFIG_HOME" in done.stderr
     assert pancakes(nameless, "config", "check", str(path)).returncode == 0
 

@@ -90,7 +90,7 @@ def test_agent_with_a_full_disk_answers_and_recovers(rig: Rig, state: Path):
     _, hard = resource.prlimit(agent.pid, resource.RLIMIT_FSIZE)
 
     resource.prlimit(agent.pid, resource.RLIMIT_FSIZE, (0, hard))  # as a full disk: no file may become longer
-    agent.hear(f"the journal cannot write: File too large ({state}): it is tried again")
+    agent.hear(f"the journal cannot write: File too large ({state}): it is retried")
     stopped = rig.pancakes("task", "stop", "a/Count")
     assert stopped.returncode == 1
     assert "the journal cannot write" in stopped.stderr
@@ -117,7 +117,7 @@ def test_task_forget_and_adopt_decide_about_a_damaged_record(rig: Rig, state: Pa
 
     assert "would" not in rig.pancakes("task", "forget", "a/Count", "--dry-run").stderr
     asked = rig.pancakes("task", "forget", "a/Count")
-    assert asked.returncode == 1 and "a/Count rests for good" in asked.stderr
+    assert asked.returncode == 1 and "a/Count would not start any more" in asked.stderr
     forgotten = rig.pancakes("task", "forget", "a/Count", "--force")
     assert forgotten.returncode == 0 and "forgotten" in forgotten.stdout
     assert rig.pancakes("task", "adopt", "a/Count").returncode == 1

@@ -163,4 +163,4 @@ def test_real_clocks_doctor_names_the_day_that_is_off(clocks: ClockRig) -> None:
         f"the time of day of {host}, on which third runs, is 1.0 years behind that of first, second and this machine"
     )
     assert (off["level"], off["about"], off["text"]) == ("warning", "third", expected)
-    assert off["advice"].startswith(f"timedatectl on {host} ")
+    assert off["advice"].startswith(f"see timedatectl on {host}; ")

@@ -151,7 +151,7 @@ def test_a_task_that_was_restarted_is_still_held_by_one_holder(mission: Any) -> 
 def test_a_missing_or_broken_file_is_named(mission: Any, tmp_path: Path) -> None:
     run = mission.write()
     (tmp_path / "out" / "events.jsonl").write_text('{"t_s": 1.0}\n', encoding="utf-8")
-    with pytest.raises(PancakesError, match=r"events\.jsonl: line 1 is no event"):
+    with pytest.raises(PancakesError, match=r"events\.jsonl: line 1 is not an event"):
         judge_encirclement(run)
     (tmp_path / "out" / "trajectory.csv").unlink()
     with pytest.raises(PancakesError, match=r"trajectory\.csv cannot be read"):

@@ -106,7 +106,7 @@ WHERE: dict[tuple[str, str], str] = {
     ("docs/security.md", "pancakes task stop"): f"{LIVE}.test_security_of_two_robots",
     ("docs/security.md", "pancakes fleet revoke"): f"{LIVE}.test_security_of_two_robots",
     ("docs/runbook.md", "pancakes"): "not run: what an operator does after a fault; tests/cli and tests/services",
-    ("docs/simulation.md", "from pancakes.simulation"): f"{HERE}.test_simulation_prints_what_its_guide_says",
+    ("docs/simulation.md", "from pancakes import Simulation"): f"{HERE}.test_simulation_prints_what_its_guide_says",
     ("docs/simulation.md", "import gymnasium"): f"{HERE}.test_simulation_makes_a_learning_environment",
     ("docs/simulation.md", "pancakes demo"): "not run: 200 missions; .ci/run has eight of the README",
     ("docs/system-service.md", "sudo useradd"): "not run: changes this machine; tests/systemd_vm",
@@ -335,7 +335,7 @@ def test_guides_mention_verbs_and_options_that_exist(guide: str):
 
 def test_simulation_prints_what_its_guide_says(capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: Any):
     monkeypatch.chdir(tmp_path)
-    code = example("docs/simulation.md", "from pancakes.simulation")
+    code = example("docs/simulation.md", "from pancakes import Simulation")
     blocks = examples("docs/simulation.md")
     exec(compile(code.text, str(code), "exec"), {})
     assert capsys.readouterr().out == blocks[blocks.index(code) + 1].text

@@ -236,7 +236,7 @@ def test_what_if_is_asked(reader: Reader):
     peers = f'peers = ["{reader.rig.address(one)}"]'
     reader.rig.ready("robot1", '[task.Planner]\ntype = "patrol.Watch"\n', agent=peers).hear("peer_up peer=robot2")
     move, rate, without = example("docs/what-if.md", "pancakes what-if").commands
-    assert "If robot1/client/Planner moves to robot2" in reader.types(move, "--for", "1s")
+    assert "If robot1/client/Planner migrates to robot2" in reader.types(move, "--for", "1s")
     reader.types(rate, "--for", "1s")
     reader.types(without, "--for", "1s")
 

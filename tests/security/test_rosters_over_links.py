@@ -407,7 +407,7 @@ def test_one_fleet_does_not_believe_another_of_the_same_authority(rig):
         (("b", "agent"), "c", "agent", "it calls itself c, but its certificate is b's (agent)"),
         (("b", "agent"), "b", "environment", "b comes as environment, but its certificate is for the role agent"),
         (("alice", "operator"), "alice", "client", "it calls itself alice, but its certificate is alice's (operator)"),
-        (("alice", "observer"), "alice.1", "agent", "'alice.1' is no name"),
+        (("alice", "observer"), "alice.1", "agent", "'alice.1' is not a name"),
         (("alice", "observer"), "bob.1", "client", "it calls itself bob.1, but its certificate is alice's (observer)"),
     ],
 )

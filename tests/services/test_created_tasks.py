@@ -136,7 +136,7 @@ def test_what_was_done_is_an_event_and_an_account(fleet: Fleet) -> None:
             Create("Count", "test.Drive"),
             "[task.Count] type: needs a device of the type motors; this agent has no device",
         ),
-        (Create("a b", "test.Count"), "'a b' is no name"),
+        (Create("a b", "test.Count"), "'a b' is not a name"),
         (Create("a/b/c/d", "test.Count"), "'a/b/c/d' is no target"),
         (Create("log/Count", "test.Count"), "a/log is a service and cannot be asked for create"),
         (Create("nothing/Count", "test.Count"), "a/nothing is not there"),
