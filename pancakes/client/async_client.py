@@ -259,6 +259,7 @@ class AsyncClient:
         at: see `Client`, as for all others.
         timeout_s: see `Client`.
         say: see `Client`; it is called in the event loop.
+        fleet: see `Client`.
     """
 
     def __init__(
@@ -266,9 +267,12 @@ class AsyncClient:
         at: Target | str | Sequence[str] = (),
         timeout_s: float = 3.0,
         say: Callable[[str], None] = log_warning,
+        *,
+        fleet: str = "",
     ) -> None:
         self.timeout_s = timeout_s
         self._at = at
+        self._fleet = fleet
         self._say = say
         self._pool = ThreadPoolExecutor(MAX_CALLS, thread_name_prefix="pancakes-asyncio")
         self._opening = asyncio.Lock()
@@ -302,6 +306,10 @@ class AsyncClient:
     publish = _awaited(Client.publish)
     send = _awaited(Client.send)
     settle = _awaited(Client.settle)
+    start = _awaited(Client.start)
+    stop = _awaited(Client.stop)
+    restart = _awaited(Client.restart)
+    set_rate = _awaited(Client.set_rate)
     configure = _awaited(Client.configure)
     migrate = _awaited(Client.migrate)
     request = _awaited(Client.request)
@@ -348,5 +356,6 @@ class AsyncClient:
         async with self._opening:
             if self._opened is None:
                 loop = asyncio.get_running_loop()
-                self._opened = await self._in_thread(Client, self._at, self.timeout_s, _in_loop(loop, self._say))
+                say = _in_loop(loop, self._say)
+                self._opened = await self._in_thread(partial(Client, fleet=self._fleet), self._at, self.timeout_s, say)
         return self._opened

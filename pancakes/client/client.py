@@ -16,7 +16,7 @@ import msgspec
 from pancakes.client.rows import AgentInfo, EventInfo, ReceivedPacket, TaskInfo
 from pancakes.client.session import LOOK_S, FleetDescription, FleetSession, Replies, Session, Target
 from pancakes.client.subscriptions import KeepAlive, Subscriber, Subscription, SubscriptionSpec
-from pancakes.control import CONTROLS, Channels, Configure, Describe, Migrate, Reply
+from pancakes.control import CONTROLS, Channels, Configure, Describe, Migrate, Reply, Reschedule, Restart, Start, Stop
 from pancakes.errors import (
     ControlRefusedError,
     NoAnswerError,
@@ -158,6 +158,7 @@ class Client:
         timeout_s: the time limit of each call, in seconds.
         say: takes sentences about what is not an error: an agent is silent, goes or comes back, or a subscriber is
             too slow. It may be called in another thread. By default they are warnings of the logger `pancakes.client`.
+        fleet: only agents of this fleet; empty: of any.
 
     Attributes:
         timeout_s: the same.
@@ -171,11 +172,13 @@ class Client:
         at: Target | str | Sequence[str] = (),
         timeout_s: float = 3.0,
         say: Callable[[str], None] = log_warning,
+        *,
+        fleet: str = "",
     ) -> None:
         check_timeout(timeout_s)
         self.timeout_s = timeout_s
         self._say = say
-        self._session = Session(at, timeout_s)
+        self._session = Session(Target.of(at, fleet), timeout_s)
         self._keep_alive = KeepAlive()
         self._described: dict[str, _Described] = {}
         self._unsettled: dict[str, None] = {}  # agents that may not have got all that was published, in order
@@ -385,6 +388,116 @@ class Client:
     def waiting(self, agent: str) -> int:
         """Return how many packets wait here because an agent, or the link to it, is too slow for them."""
         return self._session.fleet_of(agent).waiting(agent)
+
+    def start(
+        self,
+        target: str | TaskInfo,
+        settings: Mapping[str, Any] | None = None,
+        *,
+        dry_run: bool = False,
+        timeout_s: float | None = None,
+    ) -> Reply:
+        """Start a stopped task or service, and wait until it runs.
+
+        Args:
+            target: `AGENT/TASK`, `AGENT/SERVICE` or `AGENT/SERVICE/TASK`, or a row of `tasks`.
+            settings: settings of a task that differ from its configuration's.
+            dry_run: only ask whether it could be started.
+            timeout_s: the time limit; None: that of the client.
+
+        Returns:
+            The agent's reply.
+
+        Raises:
+            ControlRefusedError: it runs already, does not exist, or cannot be started; the message says why.
+            UnreachableError: there is no such agent.
+            NoAnswerError: it does not answer in time.
+        """
+        agent, name = task_of(target)
+        return self._ordered(agent, Start(name, settings, dry_run), timeout_s)
+
+    def stop(
+        self,
+        target: str | TaskInfo,
+        *,
+        for_s: float | None = None,
+        dry_run: bool = False,
+        timeout_s: float | None = None,
+    ) -> Reply:
+        """Stop a task or a service, and wait until it has ended.
+
+        Args:
+            target: see `start`.
+            for_s: a service starts again by itself after this time, in mission seconds; None: it does not.
+            dry_run: only ask whether it could be stopped.
+            timeout_s: the time limit; None: that of the client.
+
+        Returns:
+            The agent's reply.
+
+        Raises:
+            ControlRefusedError: it does not exist, or must not be stopped now; the message says why.
+            UnreachableError: there is no such agent.
+            NoAnswerError: it does not answer in time.
+        """
+        agent, name = task_of(target)
+        return self._ordered(agent, Stop(name, for_s, dry_run), timeout_s)
+
+    def restart(
+        self,
+        target: str | TaskInfo,
+        *,
+        keep_state: bool = True,
+        dry_run: bool = False,
+        timeout_s: float | None = None,
+    ) -> Reply:
+        """Stop a task or a service and start it again, and wait until it runs.
+
+        Args:
+            target: see `start`.
+            keep_state: whether a task, or each task of a service, keeps its state and settings.
+            dry_run: only ask whether it could be restarted.
+            timeout_s: the time limit; None: that of the client.
+
+        Returns:
+            The agent's reply.
+
+        Raises:
+            ControlRefusedError: it does not exist, or cannot be restarted; the message says why.
+            UnreachableError: there is no such agent.
+            NoAnswerError: it does not answer in time.
+        """
+        agent, name = task_of(target)
+        return self._ordered(agent, Restart(name, keep_state, dry_run), timeout_s)
+
+    def set_rate(
+        self,
+        task: str | TaskInfo,
+        rate_hz: float,
+        *,
+        timer: str = "",
+        dry_run: bool = False,
+        timeout_s: float | None = None,
+    ) -> Reply:
+        """Change the rate of a time-driven task, from its next tick on.
+
+        Args:
+            task: `AGENT/TASK` or `AGENT/SERVICE/TASK`, or a row of `tasks`.
+            rate_hz: ticks for each second of mission time; 0 stops the ticks.
+            timer: the method that ticks, if the task has several; empty: the first.
+            dry_run: only ask whether the rate could be changed.
+            timeout_s: the time limit; None: that of the client.
+
+        Returns:
+            The agent's reply, whose `result` has the rate before.
+
+        Raises:
+            ControlRefusedError: the task does not exist, or has no such timer; the message says why.
+            UnreachableError: there is no such agent.
+            NoAnswerError: it does not answer in time.
+        """
+        agent, name = task_of(task)
+        return self._ordered(agent, Reschedule(name, rate_hz, timer, dry_run), timeout_s)
 
     def configure(
         self,

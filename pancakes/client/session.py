@@ -52,7 +52,7 @@ CLOSED: Final = "the client is closed: make a new one"
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """Target to look for agents.
+    """Where to look for agents.
 
     Attributes:
         addresses: addresses to begin with (`tcp://127.0.0.1:7401`); none: what runs on this machine.
@@ -63,17 +63,24 @@ class Target:
     fleet: str = ""
 
     @classmethod
-    def of(cls, at: Target | str | Sequence[str]) -> Target:
+    def of(cls, at: Target | str | Sequence[str], fleet: str = "") -> Target:
         """Return the place that one address, several addresses or a `Target` mean.
 
+        Args:
+            at: the addresses.
+            fleet: the fleet, if `at` names none.
+
         Raises:
-            PancakesError: an address is not one that an agent could have, or the name of the fleet is not valid.
+            PancakesError: an address is not one that an agent could have, the name of the fleet is not valid, or two
+                fleets are named.
         """
-        if isinstance(at, Target):
-            if at.fleet and (fault := fault_of_name(at.fleet)):
-                raise PancakesError(fault)
-            return cls(_addresses(at.addresses), at.fleet)
-        return cls(_addresses((at,) if isinstance(at, str) else at))
+        addresses = at.addresses if isinstance(at, Target) else (at,) if isinstance(at, str) else at
+        named = at.fleet if isinstance(at, Target) else ""
+        if fleet and named not in ("", fleet):
+            raise PancakesError(f"a client keeps to one fleet, and was given {named!r} and {fleet!r}")
+        if (named or fleet) and (fault := fault_of_name(named or fleet)):
+            raise PancakesError(fault)
+        return cls(_addresses(addresses), named or fleet)
 
 
 def _addresses(texts: Sequence[str]) -> tuple[str, ...]:

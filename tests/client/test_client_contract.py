@@ -13,7 +13,7 @@ from client.counting_agents import Answer, Count, CountingAgents, Word
 from client.twins import PATIENCE_S, TWINS, Connect
 from seeded import for_each
 
-from pancakes.client import AgentInfo, AsyncClient, AsyncSubscriber, Client, Subscriber, TaskInfo
+from pancakes.client import AgentInfo, AsyncClient, AsyncSubscriber, Client, Subscriber, Target, TaskInfo
 from pancakes.control import Describe, Reschedule, Stop
 from pancakes.errors import LocalProtocolError, NoAnswerError, NoPacketError, PancakesError, UnreachableError
 
@@ -64,6 +64,10 @@ CALLS: list[Any] = [
     lambda client: client.subscribe("c/system"),
     lambda client: client.publish("c/system", Word("hello")),
     lambda client: client.configure("c/Counting", {"step": 2}),
+    lambda client: client.start("c/Counting"),
+    lambda client: client.stop("c/Counting"),
+    lambda client: client.restart("c/Counting"),
+    lambda client: client.set_rate("c/Counting", 2.0),
     lambda client: client.migrate("c/Counting"),
     lambda client: client.request("c", Describe()),
 ]
@@ -253,6 +257,10 @@ NONSENSE: list[tuple[Any, str]] = [
     (lambda client: client.request("a", WRONG_STOP), "Stop cannot be sent: .*Expected `str`, got `int`"),
     (lambda client: client.publish("a/system", Word("x"), to="a/b/c/d"), "'a/b/c/d' is not a service or task of a"),
     (lambda client: client.publish("a/sysctrl", Stop("Counting")), "Stop is a control packet.*client.request"),
+    (lambda client: client.stop("a/Countink"), "no task or service 'Countink', did you mean 'Counting'"),
+    (lambda client: client.start("a/Counting"), "is running already"),
+    (lambda client: client.set_rate("a/Counting", -1.0), "rate"),
+    (lambda client: client.set_rate("a/Counting", 1.0, timer="tock"), "no timer 'tock'"),
     (lambda client: client.configure("Counting", {}), "'Counting' names no task: write it as AGENT/TASK"),
     (lambda client: client.configure("a/Countink", {}), "no task or service 'Countink', did you mean 'Counting'"),
     (lambda client: client.configure("a/Counting", {"stepp": 2}), "stepp"),
@@ -330,6 +338,28 @@ def test_where_it_is_not_known_whether_all_has_arrived_the_end_of_with_says_so(
     assert sentence == (
         "it is not known whether the last published packets have arrived: b did not answer: nothing came within 0.5 s"
     )
+
+
+def test_client_stops_starts_restarts_and_sets_rates(client: Any):
+    def row() -> TaskInfo:
+        (found,) = [row for row in client.tasks("a") if row.task == "Counting"]
+        return found
+
+    assert client.stop("a/Counting", dry_run=True).ok and row().state == "running"
+    assert client.set_rate(row(), 20.0).result["before_hz"] == 50.0
+    assert row().rate_hz == 20.0
+    assert client.stop("a/Counting").ok and row().state == "stopped"
+    assert client.start(row(), {"step": 4}).ok and client.settings("a/Counting") == {"step": 4}
+    assert client.restart("a/client/Counting", keep_state=False).ok and client.settings("a/Counting") == {"step": 1}
+    assert row().rate_hz == 50.0
+
+
+def test_client_keeps_to_one_fleet(connect: Connect):
+    with connect(fleet="test", timeout_s=10.0) as client:
+        assert {row.agent for row in client.agents()} == {"a", "b"}
+    with pytest.raises(PancakesError, match="a client keeps to one fleet, and was given 'east' and 'west'"):
+        with connect(Target(fleet="east"), fleet="west", timeout_s=1.0) as client:
+            client.agents()
 
 
 def test_settings_are_read_and_changed(client: Any):
