@@ -286,5 +286,7 @@ def _document(agent: str, packet: Packet, before: str = "") -> str:
     try:
         text = text_of(record_of(agent, packet))
     except (TypeError, ValueError):  # what is published within one agent may contain anything
-        text = f"type: {packet.type}\nsource: {packet.source}\nstamp: {packet.stamp_s:.9g}\nbody: {packet.body!r}\n---"
+        text = (
+            f"type: {packet.type}\nsource: {packet.source}\nstamp_s: {packet.stamp_s:.9g}\nbody: {packet.body!r}\n---"
+        )
     return f"# {before}on {packet.channel}{to}\n{text}"

@@ -433,7 +433,7 @@ IN_A_MIXIN = [
     ("Service", "@dataclass\n    class Settings:\n        what: Any = None", "Mixin.Settings.what may be anything"),
     ("Service", "@staticmethod\n    def own_tasks(): ...", "Mixin.own_tasks is a staticmethod"),
     ("Service", "def refuse_stop(self, kernel, name, arguments, for_s): ...", "Mixin.refuse_stop is a function"),
-    ("Sensor", "async def read(self): ...", "Mixin.sample is `async def`"),
+    ("Sensor", "async def read(self): ...", "Mixin.read is `async def`"),
     ("Sensor", "def hardware(self, settings): ...", "Mixin.hardware is a function"),
     ("Cost", "def terms(self): ...", "Mixin.terms takes (self)"),
 ]
@@ -602,7 +602,7 @@ ABSTRACT = [
     (
         "drivers",
         "class Robot(Actuator):\n    type = 'x'\n    def write(self, command, ttl_s, source): ...\n",
-        "`def hold(",
+        "`def safe_stop(",
     ),
     ("drivers", "class Robot(Sensor):\n    type = 'x'\n", "`def read(self)`"),
     ("costs", "class Robot(Cost): ...\n", "`def terms(self, facts)`"),

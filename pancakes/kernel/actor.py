@@ -692,9 +692,8 @@ class ActorCore(Component):
             self.loop.settle()
 
     def may_await(self) -> bool:
-        if self.awaited is None or self.awaited.task.done():
-            return False
-        return self.__stops or (not self.__frozen and self.acts())
+        # Not only until the coroutine has ended: what the loop does next tells the actor of it.
+        return self.awaited is not None and (self.__stops or (not self.__frozen and self.acts()))
 
     def __came_back(self) -> None:
         """Go on after what was awaited, which has ended."""

@@ -16,7 +16,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Coroutine
 from typing import Any, Final, Protocol
 
 from pancakes.packet import THREAD, Packet
@@ -108,15 +108,29 @@ class ActorLoop:
     def cancel(self, task: asyncio.Task[Any]) -> bool:
         """Cancel a coroutine, and let it end for at most `CANCEL_S`; return whether it has. In the actor's turn."""
         task.cancel()
-        ended = self.loop.create_task(asyncio.wait({task}, timeout=CANCEL_S))
-        while not ended.done():
-            with contextlib.suppress(RuntimeError):  # an interrupt from before its turn
-                self._as_the_actor(lambda: self.loop.run_until_complete(ended))
+        self._complete(asyncio.wait({task}, timeout=CANCEL_S))
         return task.done()
 
     def close(self) -> None:
-        """Close the loop. In the actor's thread, when the actor has ended."""
+        """Cancel what is left, and close the loop. In the actor's thread, when the actor has ended."""
+        self._complete(self._end())
         self.loop.close()
+
+    async def _end(self) -> None:
+        left = asyncio.all_tasks() - {asyncio.current_task()}
+        for task in left:
+            task.cancel()
+        if left:
+            await asyncio.wait(left, timeout=CANCEL_S)
+        await self.loop.shutdown_asyncgens()
+        # A transport that was closed closes its socket in the next round.
+        await asyncio.sleep(0)
+
+    def _complete(self, coroutine: Coroutine[Any, Any, Any]) -> None:
+        ended = self.loop.create_task(coroutine)
+        while not ended.done():
+            with contextlib.suppress(RuntimeError):  # an interrupt from before its turn
+                self._as_the_actor(lambda: self.loop.run_until_complete(ended))
 
     def _as_the_actor(self, run: Callable[[], Any]) -> None:
         actor, turn = self._actor, THREAD.turn
@@ -185,7 +199,8 @@ class VirtualActorLoop(ActorLoop):
     def settle(self) -> None:
         self._as_the_actor(self.loop.settle)
 
-    def cancel(self, task: asyncio.Task[Any]) -> bool:
-        task.cancel()
+    def _complete(self, coroutine: Coroutine[Any, Any, Any]) -> None:
+        ended = self.loop.create_task(coroutine)
         self.settle()
-        return task.done()
+        ended.cancel()  # it may wait for a time-out, and virtual time does not pass meanwhile
+        self.settle()

@@ -65,7 +65,7 @@ def test_completion_completes_all_kinds_of_names(shared: tuple[Rig, Running, Run
     assert completed(rig, "agent", "info", "") == ["ant", "bee"]
     assert completed(rig, "agent", "list", "ant", "") == ["bee"]
     assert completed(rig, "channel", "echo", "ant/m") == ["ant/map"]
-    assert completed(rig, "task", "rate", "ant/pose", "--timer", "") == ["sample"]
+    assert completed(rig, "task", "rate", "ant/pose", "--timer", "") == ["read"]
     assert completed(rig, "task", "migrate", "ant/load", "--to", "b") == ["bee"]
     assert "pose" in completed(rig, "task", "migrate", "ant/load", "--then", "")
     assert completed(rig, "task", "migrate", "ant/load", "--cost", "ba") == ["battery"]

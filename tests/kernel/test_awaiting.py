@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 
 import pytest
 
-from pancakes.control import Configure, Describe, Migrate, Stop
+from pancakes.control import Configure, Describe, Migrate, Start, Stop
 from pancakes.errors import ClassError
 from pancakes.kernel.actor import core_of
 from pancakes.kernel.awaiting import CANCEL_S
@@ -343,3 +343,27 @@ def test_hook_that_answers_cannot_be_async():
         class Waiting(Task):
             async def on_settings(self) -> None:  # type: ignore[override]
                 """Never called."""
+
+
+class Brief(Task):
+    """Ends its coroutines in their first step."""
+
+    async def on_start(self) -> None:
+        """Awaits nothing."""
+
+    @on(SYSTEM)
+    async def fetch(self, ask: Ask) -> None:
+        if ask.wait_s:
+            await asyncio.sleep(ask.wait_s)
+
+    async def on_stop(self) -> None:
+        """Awaits nothing."""
+
+
+def test_async_task_ends_whenever_it_is_stopped(threaded_agent):
+    """A turn may interrupt its loop just when a coroutine has ended, and nothing has been told of that yet."""
+    agent = threaded_agent(tasks={"Brief": Brief})
+    for number in range(40):
+        ask(agent, number, wait_s=1000.0 * (number % 2))
+        assert agent.ask(Stop("client/Brief")).ok
+        assert agent.ask(Start("client/Brief")).ok

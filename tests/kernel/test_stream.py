@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from hypothesis.stateful import Bundle, RuleBasedStateMachine, rule
 
 from pancakes.errors import MailboxFullError, UnknownChannelError
-from pancakes.kernel.handlers import Subscription, drop_oldest, reliable
+from pancakes.kernel.handlers import Subscription, drop_oldest, queue_policy, reliable
 from pancakes.kernel.mailbox import Mailbox
 from pancakes.kernel.stream import MOST_ROUTES, InformationStream
 from pancakes.packet import CORE_CHANNELS, Packet
@@ -25,10 +25,9 @@ class Reader:
 
     def __init__(self, stream, address, *wanted, queue=None, addressed=False):
         self.stream, self.address, self.mailbox = stream, address, Mailbox()
+        policy = queue_policy(queue or 99)
         for channel, type_name in wanted:
-            stream.subscribe(
-                address, self.mailbox, Subscription(channel, type_name, queue or drop_oldest(99), addressed=addressed)
-            )
+            stream.subscribe(address, self.mailbox, Subscription(channel, type_name, policy, addressed=addressed))
 
     def got(self):
         """What has come, as sequence numbers, channel by channel."""

@@ -56,8 +56,8 @@ def test_it_says_which_of_the_same_type_there_were(virtual_agent):
     assert str(error.value) == (
         "0 packets of the type 'load' fit, at least one wanted within 1.2 s on a"
         " (on system, of a/client/X, that `where` takes); of the type 'load' there were 2, the last of them:\n"
-        "# on system\ntype: load\nsource: a/client/Blink\nstamp: 0.5\nnumber: 1\nbody:\n  cpu: 0.5\n---\n"
-        "# on system\ntype: load\nsource: a/client/Blink\nstamp: 1\nnumber: 2\nbody:\n  cpu: 1\n---"
+        "# on system\ntype: load\nsource: a/client/Blink\nstamp_s: 0.5\nnumber: 1\nbody:\n  cpu: 0.5\n---\n"
+        "# on system\ntype: load\nsource: a/client/Blink\nstamp_s: 1\nnumber: 2\nbody:\n  cpu: 1\n---"
     )
 
 

@@ -105,7 +105,7 @@ def test_the_source_of_a_packet_that_waits_moves_to_another_agent_whose_mission_
 
     sent = Packet("chat", "words", "a/client/T", "task:a/Sink", 1.5, 7, {"n": [1, 2]}, ("a/client/S", 3), None)
     moved = of_agent(encode_packet(sent), "b", restamped)
-    assert moved == encode_packet(replace(sent, source="b/client/T", stamp=11.5))
+    assert moved == encode_packet(replace(sent, source="b/client/T", stamp_s=11.5))
     assert of_agent(moved, "b", restamped) == moved
     for no_packet in (b"", b"\xc1", b"\x91\x01", b"\x93\x01\x02\x03"):
         assert of_agent(no_packet, "b", restamped) == no_packet
