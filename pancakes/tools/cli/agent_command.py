@@ -7,13 +7,14 @@ from typing import Final
 import click
 
 from pancakes.tools.cli.exit_codes import Guarded
+from pancakes.tools.cli.help_sections import HELP_OPTIONS
 from pancakes.tools.cli.version import version_option
 
 LOWEST_READY_FD: Final = 3
 """The descriptors below it are the standard streams."""
 
 
-@click.command(cls=Guarded)
+@click.command(cls=Guarded, context_settings=HELP_OPTIONS)
 @click.option("--config", "path", metavar="FILE", required=True, help="The agent's configuration, a TOML file.")
 @click.option(
     "--set", "sets", metavar="KEY=VALUE", multiple=True, help="Override a key of the file with VALUE. Repeatable."

@@ -19,6 +19,7 @@ import click
 from click.shell_completion import CompletionItem
 
 from pancakes.tools.cli.exit_codes import Guarded, with_help
+from pancakes.tools.cli.help_sections import HELP_OPTIONS, write_sections
 from pancakes.tools.cli.version import PROGRAM, VARIABLE, version_option
 from pancakes.util.text import suggestion
 
@@ -96,8 +97,8 @@ class LazyGroup(Guarded, click.Group):
         return names + click.Command.shell_complete(self, ctx, incomplete)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        with formatter.section("Commands"):
-            formatter.write_dl([(name, command.help) for name, command in self._commands.items()])
+        others = {name: command.help for name, command in self._commands.items() if name not in HELP}
+        write_sections(formatter, {**SECTIONS, "From plug-ins": others})
 
 
 def _installed(name: str) -> click.Command:
@@ -117,33 +118,44 @@ def _installed(name: str) -> click.Command:
     return command
 
 
-HELP: Final = {
-    "agent": "List and show running agents.",
-    "task": "Show, control and migrate the tasks of agents.",
-    "service": "Show and control the services of agents.",
-    "channel": "Show channels, and the packets on them.",
-    "param": "Read and change the settings of tasks.",
-    "fleet": "Manage the members of a fleet and their rights.",
-    "log": "Show the log and the events of agents.",
-    "record": "Record agents, and show recordings.",
-    "replay": "Feed a recording into a fleet.",
-    "rerun": "Run a recorded task again with its present code.",
-    "why": "Explain the commands to actuators in a recording.",
-    "view": "Show a fleet live on a web page.",
-    "report": "Turn a recording into a page and figures for a paper.",
-    "top": "Watch agents and tasks: rates, lateness, load.",
-    "what-if": "Show what a change would do, before you make it.",
-    "launch": "Run a fleet from its files.",
-    "deploy": "Install a fleet on its hosts, and keep it running there.",
-    "down": "Stop agents gracefully.",
-    "demo": "Run a whole mission, and judge it.",
-    "new": "Create a package for your own task, driver, service, cost or plug-in.",
-    "config": "Check and show configuration files.",
-    "plugin": "List the plug-ins that are installed for agents.",
-    "doctor": "Look for faults on this machine and in its agents.",
-    "completion": "Set up completion of names in your shell.",
+SECTIONS: Final = {
+    "Look and control": {
+        "agent": "List and show running agents.",
+        "task": "Show, control and migrate tasks.",
+        "service": "Show and control services.",
+        "channel": "Show channels, and the packets on them.",
+        "param": "Read and change the settings of tasks.",
+        "log": "Show the log and the events of agents.",
+        "top": "Watch agents and tasks: rates, lateness, load.",
+        "view": "Show a fleet live on a web page.",
+        "doctor": "Look for faults on this machine and in its agents.",
+        "what-if": "Show what a change would do, before you make it.",
+    },
+    "Run fleets": {
+        "demo": "Run a whole mission, and judge it.",
+        "launch": "Run a fleet from its files.",
+        "down": "Stop agents gracefully.",
+        "deploy": "Install a fleet on its hosts, and keep it running there.",
+        "fleet": "Manage the members of a fleet and their rights.",
+    },
+    "Recordings": {
+        "record": "Record agents, and show recordings.",
+        "replay": "Feed a recording into a fleet.",
+        "rerun": "Run a recorded task again with its present code.",
+        "why": "Explain the commands to actuators in a recording.",
+        "report": "Turn a recording into a page and figures for a paper.",
+    },
+    "Develop": {
+        "new": "Create a package of your own: task, driver, service, ...",
+        "config": "Check and show configuration files.",
+        "plugin": "List the plug-ins that are installed for agents.",
+        "completion": "Set up completion of names in your shell.",
+    },
 }
 """The verbs, each with its line in the help. The module of a verb has the verb's name."""
+
+HELP: Final = {name: line for verbs in SECTIONS.values() for name, line in verbs.items()}
+"""All verbs, each with its line."""
 
 COMMANDS: Final = {
     name: LazyCommand(f"pancakes.tools.cli.verbs.{(verb := name.replace('-', '_'))}:{verb}", help_)
@@ -151,7 +163,7 @@ COMMANDS: Final = {
 }
 
 
-@click.group(cls=LazyGroup, lazy=COMMANDS)
+@click.group(cls=LazyGroup, lazy=COMMANDS, context_settings=HELP_OPTIONS)
 @version_option("pancakes")
 def pancakes() -> None:
     """Control robots and sensor nodes that work as one.

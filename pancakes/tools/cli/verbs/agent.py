@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Final
 
 import click
 
 from pancakes.control import ReloadKeys
 from pancakes.tools.cli.agent_requests import ask_each, survey
+from pancakes.tools.cli.help_sections import SectionedGroup
 from pancakes.tools.cli.options import Ask, agents, asks_agents, dry_run_option, format_option, orders_agents, the_agent
 from pancakes.tools.cli.output import DRY_RUN, Printer
 from pancakes.util.clock import utc_text
@@ -17,7 +18,17 @@ from pancakes.util.clock import utc_text
 COLUMNS = ("agent", "role", "fleet", "address", "ready", "mission_s", "tasks", "neighbours")
 
 
-@click.group()
+SECTIONS: Final = {
+    "Commands": {
+        "list": "List running agents.",
+        "info": "Show all about an agent: process, links, load.",
+        "reload-keys": "Make agents read their new keys.",
+        "unit": "Print a systemd unit that runs an agent.",
+    },
+}
+
+
+@click.group(cls=SectionedGroup, sections=SECTIONS)
 def agent() -> None:
     """List and show running agents."""
 

@@ -19,6 +19,7 @@ from pancakes.control import Channels
 from pancakes.mesh.codec import encode_packet
 from pancakes.packet import Packet, agent_of, body_class, body_to_plain, field_names
 from pancakes.tools.cli.agent_requests import ask_each, request_result
+from pancakes.tools.cli.help_sections import SectionedGroup
 from pancakes.tools.cli.listening import (
     MOST_WAITING,
     doubt_types,
@@ -439,7 +440,21 @@ SUBSCRIBERS = ("subscriber", "types", "keep", "limit", "waiting", "dropped")
 PUBLISHERS = ("publisher", "type", "packets", "rate_hz", "bytes_per_s")
 
 
-@click.group()
+SECTIONS: Final = {
+    "Read": {
+        "list": "List channels.",
+        "info": "Show who subscribes to a channel.",
+        "echo": "Show the packets on a channel.",
+        "hz": "Measure the packet rate of a channel.",
+        "bw": "Measure the bandwidth of a channel.",
+    },
+    "Write": {
+        "pub": "Publish a packet.",
+    },
+}
+
+
+@click.group(cls=SectionedGroup, sections=SECTIONS)
 def channel() -> None:
     """Show channels, and the packets on them."""
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import click
 
@@ -13,6 +13,7 @@ from pancakes.control import Describe
 from pancakes.errors import ConfigError, ControlRefusedError, Fault, NoAnswerError, UnreachableError
 from pancakes.tools.cli.agent_requests import request_result
 from pancakes.tools.cli.exit_codes import BAD_CONFIGURATION, OK
+from pancakes.tools.cli.help_sections import SectionedGroup
 from pancakes.tools.cli.options import AGENT_NAME, Ask, asks_agents, format_option, format_option_of
 from pancakes.tools.cli.output import Part, Printer, Rows, show_text
 from pancakes.util.text import printable_data
@@ -40,7 +41,16 @@ class FileOrAgent(click.ParamType):
         return name
 
 
-@click.group()
+SECTIONS: Final = {
+    "Commands": {
+        "check": "Check configuration files before a robot reads them.",
+        "show": "Show what configuration an agent runs with.",
+        "schema": "Print the JSON Schema of a configuration, for editors.",
+    },
+}
+
+
+@click.group(cls=SectionedGroup, sections=SECTIONS)
 def config() -> None:
     """Check and show configuration files."""
 

@@ -16,6 +16,7 @@ from pancakes.security import key_store
 from pancakes.security.key_store import KeyFiles
 from pancakes.security.roster import EVERY, PEOPLE, RIGHTS, AccessRule, Bearer, CertifiedRole, Right, allows
 from pancakes.tools.cli.agent_requests import confirm, force_option
+from pancakes.tools.cli.help_sections import SectionedGroup
 from pancakes.tools.cli.options import Duration, format_option
 from pancakes.tools.cli.output import DRY_RUN, Printer
 from pancakes.tools.cli.verbs.fleet_authority import founded, opened, spread
@@ -61,7 +62,26 @@ told_at = click.option(
 )
 
 
-@click.group()
+SECTIONS: Final = {
+    "Members": {
+        "init": "Found a fleet: create its authority here.",
+        "enrol": "Admit a machine or a person.",
+        "join": "Join a fleet, with a code or a folder.",
+        "list": "List certificates that were issued.",
+        "renew": "Give a member a new key and certificate.",
+        "revoke": "Revoke the certificates of a member.",
+    },
+    "Rights": {
+        "allow": "Give rights to members.",
+        "can": "Show whether a member may do something, and why.",
+    },
+    "Roster": {
+        "sign": "Sign the roster again, and pass it on.",
+    },
+}
+
+
+@click.group(cls=SectionedGroup, sections=SECTIONS)
 def fleet() -> None:
     """Manage the members of a fleet and their rights.
 

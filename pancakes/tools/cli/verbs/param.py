@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import click
 
@@ -13,6 +13,7 @@ from pancakes.control import Configure, Describe
 from pancakes.errors import ControlRefusedError
 from pancakes.tools.cli.agent_requests import request, request_result, resolve_fleet, resolve_service, survey_with
 from pancakes.tools.cli.exit_codes import OK, REFUSED
+from pancakes.tools.cli.help_sections import SectionedGroup
 from pancakes.tools.cli.options import Ask, TaskName, a_task, asks_agents, dry_run_option, orders_agents
 from pancakes.tools.cli.output import DRY_RUN, Rows, show_text
 from pancakes.tools.cli.verbs import param_file
@@ -25,7 +26,23 @@ DESCRIBED = ("param", "value", "type", "default", "bounds", "unit", "description
 LOADED = ("agent", "service", "task", "params", "done", "reason")
 
 
-@click.group()
+SECTIONS: Final = {
+    "Read": {
+        "list": "List settings of tasks.",
+        "get": "Show the settings of a task.",
+        "describe": "Show what can be set: type, default, bounds, unit.",
+    },
+    "Change": {
+        "set": "Change settings of a running task.",
+    },
+    "Files": {
+        "dump": "Print settings as a file.",
+        "load": "Change settings as a file says.",
+    },
+}
+
+
+@click.group(cls=SectionedGroup, sections=SECTIONS)
 def param() -> None:
     """Read and change the settings of tasks; a device is a task too, with the device's name."""
 

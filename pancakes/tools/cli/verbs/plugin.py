@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import sys
-from typing import Any
+from typing import Any, Final
 
 import click
 
 from pancakes.errors import PluginError
 from pancakes.tools.cli.exit_codes import OK, REFUSED
+from pancakes.tools.cli.help_sections import SectionedGroup
 from pancakes.tools.cli.options import format_option
 from pancakes.tools.cli.output import Printer, show_text
 from pancakes.util.plugins import GROUPS, Plugins
@@ -17,7 +18,14 @@ COLUMNS = ("group", "name", "class", "distribution", "version", "state", "reason
 NAMES = tuple(group.removeprefix("pancakes.") for group in GROUPS)
 
 
-@click.group()
+SECTIONS: Final = {
+    "Commands": {
+        "list": "List installed plug-ins, and what they bring.",
+    },
+}
+
+
+@click.group(cls=SectionedGroup, sections=SECTIONS)
 def plugin() -> None:
     """List the plug-ins that are installed for agents."""
 

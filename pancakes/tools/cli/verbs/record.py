@@ -13,6 +13,7 @@ from pancakes.control import Describe, History, Start, Stop
 from pancakes.errors import ControlRefusedError
 from pancakes.tools.cli.agent_requests import request, survey_with
 from pancakes.tools.cli.exit_codes import REFUSED
+from pancakes.tools.cli.help_sections import SectionedGroup
 from pancakes.tools.cli.listening import doubt_types
 from pancakes.tools.cli.options import (
     Ask,
@@ -32,7 +33,20 @@ BY_ITSELF: Final = "it stopped itself"
 COLUMNS = ("agent", "done", "path")
 
 
-@click.group()
+SECTIONS: Final = {
+    "Record": {
+        "start": "Start recording.",
+        "stop": "Stop recording.",
+        "list": "List which agents record, and where.",
+    },
+    "Recordings": {
+        "info": "Show what a recording has in it.",
+        "repair": "Repair a recording whose recorder was killed.",
+    },
+}
+
+
+@click.group(cls=SectionedGroup, sections=SECTIONS)
 def record() -> None:
     """Record the packets of agents, and show and repair recordings.
 

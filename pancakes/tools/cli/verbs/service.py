@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Final
 
 import click
 
@@ -10,6 +10,7 @@ from pancakes.control import Restart, Start, Stop
 from pancakes.errors import ControlRefusedError
 from pancakes.supervision.restart import tries
 from pancakes.tools.cli.agent_requests import confirm, force_option, request, show_done, survey
+from pancakes.tools.cli.help_sections import SectionedGroup
 from pancakes.tools.cli.options import (
     Ask,
     Duration,
@@ -29,7 +30,18 @@ STATES = ("stopped", "starting", "running", "stopping", "restarting", "failed")
 """The words of `pancakes.supervision.lifecycle` for services. Importing that module would slow each command."""
 
 
-@click.group()
+SECTIONS: Final = {
+    "Commands": {
+        "list": "List services, and whether they run.",
+        "info": "Show a service and its tasks.",
+        "start": "Start a stopped service and its tasks.",
+        "stop": "Stop a service and its tasks.",
+        "restart": "Stop a service and start it again.",
+    },
+}
+
+
+@click.group(cls=SectionedGroup, sections=SECTIONS)
 def service() -> None:
     """Show and control the services of agents."""
 

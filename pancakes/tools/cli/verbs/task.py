@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from fnmatch import fnmatchcase
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import click
 
@@ -24,6 +24,7 @@ from pancakes.tools.cli.agent_requests import (
     show_done,
     survey,
 )
+from pancakes.tools.cli.help_sections import SectionedGroup
 from pancakes.tools.cli.options import (
     Ask,
     Duration,
@@ -149,7 +150,35 @@ STATES = ("stopped", "starting", "running", "stopping", "stuck", "restarting", "
 """The values of `pancakes.supervision.lifecycle.WORDS`. Importing that module would slow each command."""
 
 
-@click.group()
+SECTIONS: Final = {
+    "Everyday": {
+        "list": "List tasks, and whether they run.",
+        "info": "Show all about a task: timers, queues, settings, state.",
+        "start": "Start a stopped task.",
+        "stop": "Stop a task.",
+        "restart": "Stop a task and start it again.",
+        "rate": "Change the rate of a task.",
+        "create": "Create a task that no configuration file names.",
+        "remove": "Stop such a task, and delete it.",
+    },
+    "Migration": {
+        "migrate": "Migrate a task to the neighbour with the lowest bid.",
+        "migrations": "List migrations: who was asked, who has the task.",
+        "guards": "List guarded tasks, and where their copies are.",
+        "fence": "Show which tasks have commanded an actuator.",
+    },
+    "Recovery": {
+        "take": "Have the guardians take over a task of a silent agent.",
+        "revive": "Run a task of an agent that is gone for good.",
+        "adopt": "Run a task here whose ownership is in doubt.",
+        "resolve": "Keep one of two copies of a task.",
+        "forget": "Never start a task here whose record is damaged.",
+        "forget-peer": "Drop tasks whose hand-off from an agent is in doubt.",
+    },
+}
+
+
+@click.group(cls=SectionedGroup, sections=SECTIONS)
 def task() -> None:
     """Show, control and migrate tasks; a device is a task too, with the device's name."""
 

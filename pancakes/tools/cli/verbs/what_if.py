@@ -12,6 +12,7 @@ import msgspec
 from pancakes.control import LONGEST_S, SHORTEST_S, Describe, Measure, Migrate, Reschedule
 from pancakes.errors import ControlRefusedError, RemoteProtocolError
 from pancakes.tools.cli.agent_requests import request, request_result, resolve_service
+from pancakes.tools.cli.help_sections import SectionedGroup
 from pancakes.tools.cli.options import (
     AGENT_NAME,
     Ask,
@@ -62,7 +63,16 @@ _cost_option = click.option(
 )
 
 
-@click.group("what-if")
+SECTIONS: Final = {
+    "Commands": {
+        "move": "Show what a migration would do.",
+        "rate": "Show what another rate of a task would do.",
+        "without": "Show what would happen if an agent left.",
+    },
+}
+
+
+@click.group("what-if", cls=SectionedGroup, sections=SECTIONS)
 def what_if() -> None:
     """Show what a change would do to loads, missed ticks and batteries, before you make it.
 
