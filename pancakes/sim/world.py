@@ -24,7 +24,7 @@ from pancakes.sim.bodies import ContentSettings, Disc, NoiseSettings, Robot, Sen
 from pancakes.sim.hardware_bus import Attach, Attached, BusServer, Drive, Halt, Reading, Refused, Reply, Request, Sample
 from pancakes.sim.pedestrian import DECIDE_EVERY_S, Obstacle, Wayfinder
 from pancakes.sim.robot_models import IrRing, SonarRing, Wheels, robot_model
-from pancakes.sim.world_state import BodyState, Spent, WorldState
+from pancakes.sim.world_state import BodyState, Kind, Spent, WorldState
 from pancakes.supervision.task_core import TaskCore
 from pancakes.task import Task, Tick, every
 
@@ -386,7 +386,7 @@ def _obstacle(disc: Disc, distance_m: float) -> Obstacle:
 
 
 def _body_state(
-    disc: Disc, kind: str, battery_v: float | None = None, driven_by: str = "", spent: Spent | None = None
+    disc: Disc, kind: Kind, battery_v: float | None = None, driven_by: str = "", spent: Spent | None = None
 ) -> BodyState:
     theta_rad, v_mps, omega_radps = disc.course()
     return BodyState(disc.name, kind, disc.x_m, disc.y_m, theta_rad, v_mps, omega_radps, battery_v, driven_by, spent)

@@ -6,9 +6,16 @@ every agent that loads packet types imports this module.
 
 from __future__ import annotations
 
+from typing import Annotated, Literal, TypeAlias
+
 import msgspec
 
 from pancakes.packet import packet_type
+
+Name: TypeAlias = Annotated[str, msgspec.Meta(max_length=64)]
+"""A name that a configuration may give a body. As it is short, no packet with it is searched for large values."""
+Address: TypeAlias = Annotated[str, msgspec.Meta(max_length=256)]
+Kind: TypeAlias = Literal["robot", "sensor", "mover"]
 
 
 class Spent(msgspec.Struct, frozen=True):
@@ -45,15 +52,15 @@ class BodyState(msgspec.Struct, frozen=True):
         spent: what its battery has given; None if it has none.
     """
 
-    name: str
-    kind: str
+    name: Name
+    kind: Kind
     x_m: float
     y_m: float
     theta_rad: float
     v_mps: float
     omega_radps: float
     battery_v: float | None = None
-    driven_by: str = ""
+    driven_by: Address = ""
     spent: Spent | None = None
 
 

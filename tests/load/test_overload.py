@@ -31,7 +31,9 @@ def test_overload_costs_packets_and_nothing_else(tmp_path: Path, case: Case):
     """`overload` itself waits until the reader has caught up, and fails if it never does."""
     seen = overload(tmp_path, case, SECONDS, CALM)
     assert seen.memory_bytes <= MEMORY_BYTES
-    assert seen.published > seen.handled > 0
+    assert seen.handled > 0
+    # On a slow machine the publisher may be refused early enough that nothing falls out behind it.
+    assert seen.published > seen.handled or seen.refused > 0
     assert_every_loss_is_told(seen)
     assert (seen.disordered, seen.doubled) == (0, 0)
     assert max(seen.control_s) < 2.0

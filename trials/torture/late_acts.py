@@ -88,11 +88,11 @@ class Recorder(Actuator):
     type = "motors"
 
     def open(self):
-        self.write = book("commands")
+        self.note = book("commands")
 
     def write(self, command, ttl_s, source):
         time.sleep(0.0015)
-        self.write(int(command.omega_radps))
+        self.note(int(command.omega_radps))
 
     def safe_stop(self):
         pass
