@@ -647,7 +647,7 @@ class ActorCore(Component):
             TypeError: the class has no `async def` method, so the actor has no thread of its own to await in.
         """
         if self.awaited is not None:
-            self.awaited.behind.append(partial(self.await_between_turns, coroutine, then))
+            self.awaited.behind.append((partial(self.await_between_turns, coroutine, then), coroutine))
             return
         if not self.awaits:
             coroutine.close()
@@ -673,7 +673,7 @@ class ActorCore(Component):
     def after_awaiting(self, function: Callable[[], Any]) -> None:
         """Call a function now, or once what is awaited of the same packet has ended. In the actor."""
         if self.awaited is not None:
-            self.awaited.behind.append(function)
+            self.awaited.behind.append((function, None))
         else:
             function()
 
@@ -712,13 +712,15 @@ class ActorCore(Component):
                 raise RuntimeError(f"what {self.address} awaited was cancelled by its own code")
             awaited.task.result()  # raises what it raised, in this turn
         except BaseException:
+            awaited.drop_behind()
             for failed in awaited.failed:
                 failed()
             raise
         if awaited.then is not None:
             awaited.then()
         while awaited.behind:
-            awaited.behind.popleft()()
+            function, _ = awaited.behind.popleft()
+            function()
             if self.awaited is not None:
                 self.awaited.behind.extend(awaited.behind)
                 break
@@ -737,9 +739,7 @@ class ActorCore(Component):
         awaited, self.awaited = self.awaited, None
         if awaited is None or self.loop is None:
             return
-        for function in awaited.behind:
-            if isinstance(function, partial) and function.args and iscoroutine(function.args[0]):
-                function.args[0].close()
+        awaited.drop_behind()
         if not self.loop.cancel(awaited.task):
             self.kernel.log(
                 "warning", f"{self.address} is stopped, and what it awaits does not end when it is cancelled"

@@ -37,7 +37,7 @@ class Awaited:
         is_stop: whether it is `on_stop`, with which the actor ends.
 
     Attributes:
-        behind: what else has come of the same packet, and waits for it.
+        behind: what else has come of the same packet, and waits for it; each with the coroutine that it begins.
         failed: what is called in the actor if it fails.
     """
 
@@ -52,8 +52,15 @@ class Awaited:
         self.packet = packet
         self.then = then
         self.is_stop = is_stop
-        self.behind: deque[Callable[[], Any]] = deque()
+        self.behind: deque[tuple[Callable[[], Any], Coroutine[Any, Any, Any] | None]] = deque()
         self.failed: list[Callable[[], Any]] = []
+
+    def drop_behind(self) -> None:
+        """Begin nothing of what waits behind it: it has failed, or is cancelled."""
+        while self.behind:
+            _, coroutine = self.behind.popleft()
+            if coroutine is not None:
+                coroutine.close()
 
 
 class Awaiting(Protocol):

@@ -328,6 +328,28 @@ def test_handler_behind_an_async_one_waits_for_it(any_agent):
     assert log_of(agent, "Both") == ["first begins", "first ends", "second"] * 2
 
 
+class Two(Task):
+    """Has two handlers of the same packets, of which the first fails."""
+
+    @on(SYSTEM, Ask)
+    async def first(self, packet: Packet[Ask]) -> None:
+        await asyncio.sleep(0.0)
+        raise ValueError("the first fails")
+
+    @on(SYSTEM, Ask)
+    async def second(self, packet: Packet[Ask]) -> None:
+        self.event("second")
+
+
+@pytest.mark.filterwarnings("error")
+def test_coroutine_behind_one_that_fails_is_dropped(any_agent):
+    agent = any_agent(tasks={"Two": Two})
+    ask(agent, 1)
+    agent.wait_for_event("task_failed", task="Two")
+    gc.collect()
+    assert not agent.events("second")
+
+
 def test_service_awaits_nothing():
     with pytest.raises(ClassError, match="a service awaits nothing"):
 
