@@ -32,7 +32,7 @@ class SectionedGroup(click.Group):
     """
 
     def __init__(self, *args: Any, sections: Sections, **attributes: Any) -> None:
-        super().__init__(*args, **attributes)
+        super().__init__(*args, **{"context_settings": HELP_OPTIONS, **attributes})
         self.sections = sections
 
     def list_commands(self, ctx: click.Context) -> list[str]:
