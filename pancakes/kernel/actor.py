@@ -678,7 +678,7 @@ class ActorCore(Component):
             function()
 
     def settle_in(self, delay_s: float) -> None:
-        """In virtual time: let the loop go on in so many seconds of the agent's host clock."""
+        """In virtual time: let the loop go on after that many seconds of the agent's host clock."""
         if self.kernel.virtual is None:
             return
         step = Call(self, self.__settle, is_own=True)

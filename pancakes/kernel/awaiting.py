@@ -195,7 +195,7 @@ class VirtualActorLoop(ActorLoop):
     Args:
         actor: the actor.
         now: returns the virtual host time of its agent, in seconds.
-        call_in: has `settle` called in the actor, in so many seconds of that time.
+        call_in: called with a delay in seconds of that time, after which `settle` must be called in the actor.
     """
 
     loop: _VirtualLoop

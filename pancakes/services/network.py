@@ -66,7 +66,7 @@ class Follower:
         self._owner = owner
         self._mesh = mesh
         self._agent = agent
-        self._foreign = include_remote
+        self._include_remote = include_remote
         self._period_s = 1.0 / most_hz if most_hz else 0.0
         self._due_s = -math.inf
         self._newest: dict[tuple[str, str], Packet] = {}
@@ -76,7 +76,7 @@ class Follower:
     def take(self, packet: Packet) -> None:
         """Take a packet that was published. In any thread."""
         # What came from elsewhere has been seen there; what follows itself would never end.
-        if not (self._foreign or agent_of(packet.source) == self._owner.agent):
+        if not (self._include_remote or agent_of(packet.source) == self._owner.agent):
             return
         if not self._period_s:
             self._send(packet)

@@ -32,7 +32,7 @@ class Told:
             try:
                 self._lines.put(json.loads(line))
             except ValueError:
-                pass  # a include_remote library said something
+                pass  # a library of others said something
         stream.close()
 
     def wait(self, fits: Callable[[dict[str, Any]], Any], timeout_s: float = AT_MOST_S) -> dict[str, Any]:

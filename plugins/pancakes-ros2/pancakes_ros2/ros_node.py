@@ -247,7 +247,7 @@ class RosNode:
     def _run(self) -> None:
         try:
             node = self._open()
-        except Exception as error:  # whatever a include_remote library does where it is loaded
+        except Exception as error:  # a library of others may raise anything when it is loaded
             self._refuse_all(f"ROS 2 does not start: {error}")
             return
         try:

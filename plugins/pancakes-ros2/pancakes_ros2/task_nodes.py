@@ -68,7 +68,7 @@ class TaskNodes:
         node.do(lambda made: found.set_result(made.context), lambda reason: found.set_exception(PancakesError(reason)))
         try:
             self._serve(found.result())
-        except Exception as error:  # whatever a include_remote library does
+        except Exception as error:  # a library of others may raise anything
             self._failed(f"tasks are no nodes of ROS 2: {error}")
         finally:
             self._ended()
