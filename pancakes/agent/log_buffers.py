@@ -60,7 +60,7 @@ _LEVELS: Final = ("warning", "error")
 _PASSING: Final = re.compile(r"the link to \S+ has ended|no link over .*(reset by peer|broken pipe|has ended)")
 """Faults that the next attempt may end: `doctor` itself checks which peers have no link now."""
 _ANSWERS: Final = re.compile(r"what \S+ asked for \(#\d+\) was not done|.*, as \S+ asked\b", re.DOTALL)
-"""Events that answer a request: whoever made it has the answer."""
+"""Events that answer a request: its sender has the answer already."""
 _BIRTHS: Final = re.compile(r"not born yet: |\S+ is born, although nothing was heard of it from ")
 _REFUSED: Final = re.compile(r"\S+ (was not started: |is given up\b)")
 _FAILED: Final = re.compile(r"\S+ (was not started: |is given up\b|is started again |failed (while it stopped|as its))")

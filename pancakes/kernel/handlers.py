@@ -24,8 +24,20 @@ from collections.abc import Callable
 from enum import Enum
 from functools import lru_cache, partial
 from numbers import Real
-from types import FrameType, FunctionType
-from typing import Any, Final, Literal, NamedTuple, Never, Protocol, TypeVar, get_args, get_origin, overload
+from types import FrameType, FunctionType, SimpleNamespace
+from typing import (
+    Any,
+    Final,
+    Literal,
+    NamedTuple,
+    Never,
+    Protocol,
+    TypeVar,
+    get_args,
+    get_origin,
+    get_type_hints,
+    overload,
+)
 
 import msgspec
 
@@ -334,7 +346,8 @@ def _type_of_annotation(method: Callable[..., Any], annotation: Any, around: Fra
     try:
         if isinstance(annotation, str):
             text = annotation.partition("[")[2].rpartition("]")[0] if within else annotation
-            cls = eval(text, getattr(method, "__globals__", {}), _names_around(around))  # the author's own annotation
+            alone = SimpleNamespace(__annotations__={"body": text})  # the others need not be known when it is read
+            cls = get_type_hints(alone, getattr(method, "__globals__", {}), _names_around(around))["body"]
         else:
             cls = get_args(annotation)[0] if within else annotation
         return type_name(cls)

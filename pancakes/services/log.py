@@ -51,7 +51,7 @@ _STANDARD_ERROR: Final = 2
 
 @cache
 def leads_to_journal() -> bool:
-    """Return whether standard error leads to the journal, which says so in `JOURNAL_STREAM`."""
+    """Return whether standard error leads to the journal, as `JOURNAL_STREAM` tells."""
     try:
         status = os.fstat(_STANDARD_ERROR)
     except OSError:

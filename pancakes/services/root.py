@@ -367,7 +367,7 @@ class Root(ActorCore):
 
     def _hand_to_guardian(self, body: Guarding | Checkpoints | Take, request: Request) -> None:
         if not self.kernel.tell(GUARDIAN, AskedOfGuardian(body, request, self)):
-            raise ControlRefusedError(f"the guardian of {self.agent} is being started anew", "busy")
+            raise ControlRefusedError(f"the guardian of {self.agent} is restarting", "busy")
 
     def _must_be_allowed(self, body: Any, request: Request, service: str, task: str) -> None:
         """Look whether a peer may ask for this.

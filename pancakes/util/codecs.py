@@ -222,7 +222,7 @@ def encode(value: Any) -> bytes:
     """Encode a value as msgpack. Any thread.
 
     Raises:
-        UNENCODABLE: it cannot be encoded; a MemoryError says so in its message.
+        UNENCODABLE: it cannot be encoded; the message of a MemoryError has the reason.
     """
     buffer = bytearray(_FIRST_BYTES)  # like `_grown`, in one call: each packet that leaves an agent is encoded here
     try:

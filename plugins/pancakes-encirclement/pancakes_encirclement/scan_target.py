@@ -23,7 +23,7 @@ FRESH_S = 3.0
 class ScanTarget(DrivingTask):
     """Drive on a circle, clockwise, around the place of the last report of motion.
 
-    It stands still until the first report. It shares the circle evenly with neighbours that are on it too and send
+    It does not move until the first report. It shares the circle evenly with neighbours that are on it too and send
     their poses. Events: `new_centre`, `on_circle` (once on each host), `revolution`.
     """
 
