@@ -24,6 +24,10 @@ if TYPE_CHECKING:
     from pancakes.devices.driver import Sensor as Sensor
     from pancakes.errors import ClassError as ClassError
     from pancakes.errors import PancakesError as PancakesError
+    from pancakes.filters.filter import Changed as Changed
+    from pancakes.filters.filter import Filter as Filter
+    from pancakes.filters.filter import FilterContext as FilterContext
+    from pancakes.filters.filter import Held as Held
     from pancakes.migration import Cost as Cost
     from pancakes.migration import CostFacts as CostFacts
     from pancakes.packet import CTRL as CTRL
@@ -37,6 +41,13 @@ if TYPE_CHECKING:
     from pancakes.packet import packet_type as packet_type
     from pancakes.packet import task_address as task_address
     from pancakes.recording.reader import RecordingReader as RecordingReader
+    from pancakes.request import Answer as Answer
+    from pancakes.request import Asked as Asked
+    from pancakes.request import Pending as Pending
+    from pancakes.request import Request as Request
+    from pancakes.request import RequestError as RequestError
+    from pancakes.request import RequestTimeoutError as RequestTimeoutError
+    from pancakes.request import answers as answers
     from pancakes.service import Service as Service
     from pancakes.settings import FilePath as FilePath
     from pancakes.settings import NotNegative as NotNegative
@@ -54,12 +65,17 @@ _MODULES = {
     "pancakes.devices.builtin_drivers": ("NetworkSensor", "NullSensor"),
     "pancakes.devices.driver": ("Actuator", "DeviceContext", "Hardware", "Sensor"),
     "pancakes.errors": ("ClassError", "PancakesError"),
+    "pancakes.filters.filter": ("Changed", "Filter", "FilterContext", "Held"),
     "pancakes.migration": ("Cost", "CostFacts"),
     "pancakes.packet": (
         *("CTRL", "LOG", "NEIGHBOURS", "NETWORK", "SYSCTRL", "SYSTEM"),
         *("Packet", "agent_of", "packet_type", "task_address"),
     ),
     "pancakes.recording.reader": ("RecordingReader",),
+    "pancakes.request": (
+        *("Answer", "Asked", "Pending", "Request", "RequestError", "RequestTimeoutError"),
+        "answers",
+    ),
     "pancakes.service": ("Service",),
     "pancakes.settings": ("FilePath", "NotNegative", "Positive"),
     "pancakes.simulation": ("Simulation",),

@@ -10,7 +10,7 @@ have the same name, `service/` means the service. `CONTROLS` lists all control p
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Final, Literal
+from typing import Annotated, Any, Final, Literal
 
 import msgspec
 
@@ -110,11 +110,14 @@ class Stop(msgspec.Struct, frozen=True):
         target: what to stop.
         for_s: a service starts again by itself after this time, in mission seconds; None: it does not.
         dry_run: only report whether it would be done, and change nothing.
+        then: a task of the same service to start in the place of this one, once it has let its actuators go; empty:
+            none. A task may ask for this for itself.
     """
 
     target: str
     for_s: float | None = None
     dry_run: bool = False
+    then: str = ""
 
 
 @packet_type("restart")
@@ -130,6 +133,27 @@ class Restart(msgspec.Struct, frozen=True):
 
     target: str
     keep_state: bool = True
+    dry_run: bool = False
+
+
+@packet_type("reload")
+class Reload(msgspec.Struct, frozen=True):
+    """Import a task type again as it is on disk now, and have its running tasks go on in the new class.
+
+    Each goes on with its settings, its state and its identity, after a gap like that of a migration. The whole
+    distribution of the type is imported again, so tasks of its other types go on in their new classes as well. If the
+    import fails, or one task does not fit, all tasks go on as they are.
+
+    The reply's `result` is a mapping: `distribution`, `before` and `version` (its versions), `tasks` (a list; each has
+    `service`, `task`, `type`, `state`, and `reason`, which is empty unless the task goes on in its old class), and
+    `stays` (drivers and services of the distribution, which go on as they are until the agent starts again).
+
+    Attributes:
+        type: the task type, such as `encirclement.ScanTarget`.
+        dry_run: only import it and check the tasks, and change nothing.
+    """
+
+    type: str
     dry_run: bool = False
 
 
@@ -185,23 +209,34 @@ class Migrate(msgspec.Struct, frozen=True):
     dry_run: bool = False
 
 
+@packet_type("allocate")
+class Allocate(msgspec.Struct, frozen=True):
+    """Begin a round of the team's allocation: which agent is to have which of the tasks that are allocated.
+
+    The `result` is a plain mapping, that of the round's account: see docs/allocation.md.
+
+    Attributes:
+        dry_run: only report what would be done, and migrate nothing.
+    """
+
+    dry_run: bool = False
+
+
 @packet_type("adopt")
 class Adopt(msgspec.Struct, frozen=True):
     """Run a task here on a person's word that it runs nowhere else.
 
-    Its hand-off is in doubt, and the other agent is gone for good; or this agent's own record of it was lost; or
+    Its migration is in doubt, and the other agent is gone for good; or this agent's own record of it was lost; or
     another agent owns it too, and this copy should live. If the person is wrong, two copies run: no other request can
     do that.
 
     Attributes:
         target: the task.
-        force: whether to do it; otherwise the refusal tells what it would mean.
         birthplace: the agent that the task was born on, if two tasks of its name are in doubt here.
         dry_run: only report whether it would be done, and change nothing.
     """
 
     target: str
-    force: bool = False
     birthplace: str = ""
     dry_run: bool = False
 
@@ -220,14 +255,12 @@ class Forget(msgspec.Struct, frozen=True):
         birthplace: the agent that the task was born on, if two tasks of its name are undecided here.
         owner: the agent that keeps it, if two own it; empty: the record of it was lost.
         dry_run: only report whether it would be done, and change nothing.
-        force: drop what was never handed over, although it may be nowhere else.
     """
 
     target: str
     birthplace: str = ""
     owner: str = ""
     dry_run: bool = False
-    force: bool = False
 
 
 class HeldCheckpoint(msgspec.Struct, frozen=True):
@@ -265,7 +298,6 @@ class Revive(msgspec.Struct, frozen=True):
         guard: how it is guarded, a `GuardRule` as plain values; None: it is not.
         checkpoint: what it goes on from; None: it starts from scratch.
         seen: the highest epoch number that any agent knows of it.
-        force: whether to do it; otherwise the refusal tells what it would mean.
         dry_run: only report whether it would be done, and change nothing.
     """
 
@@ -279,7 +311,6 @@ class Revive(msgspec.Struct, frozen=True):
     guard: dict[str, Any] | None = None
     checkpoint: HeldCheckpoint | None = None
     seen: int = 0
-    force: bool = False
     dry_run: bool = False
 
 
@@ -325,12 +356,12 @@ class Guarding(msgspec.Struct, frozen=True):
 
 @packet_type("checkpoints")
 class Checkpoints(msgspec.Struct, frozen=True):
-    """Ask an agent for the checkpoints of a task that it holds: as its guardian, or of a hand-off that is in doubt.
+    """Ask an agent for the checkpoints of a task that it holds: as its guardian, or of a migration that is in doubt.
 
     The reply's `result` is a list of plain mappings: `task_id`, `agent`, `held` (`guardian` or `in doubt`), `type`,
     `service`, `wanted`, `epoch` (number and minter) and `no` of the checkpoint, `age_s` (None: unknown), `at_least` (it
     may be older), `seen` (the highest number of an epoch that is known), `guardians` (one or two lists of agents),
-    `peer` (the other agent of a hand-off that is in doubt), and `snapshot` if it was asked for.
+    `peer` (the other agent of a migration that is in doubt), and `snapshot` if it was asked for.
 
     Attributes:
         task: its name; empty: all tasks.
@@ -384,9 +415,9 @@ class Channels(msgspec.Struct, frozen=True):
     """Ask which channels an agent has; the reply's `result` is a list of plain mappings, core channels first.
 
     Each has `agent`, `channel`, `core` (whether it cannot be removed), `subscribers` (a list of mappings: `address`,
-    `types` or None for all, `open_types`: those of them that it gets without being addressed, `keep`, `limit`,
-    `waiting`, `waiting_bytes`: of the large bodies among these, `dropped`: lost by one that wants more than the
-    newest) and `followers` (agents that it is forwarded to).
+    `types` or None for all, `open_types`: those of them that it gets without being addressed, `queue`: as in
+    `@on(queue=...)`, `limit`: of all its types together, `waiting`, `waiting_bytes`: of the large bodies among these,
+    `dropped`: lost by one that wants more than the newest) and `followers` (agents that it is forwarded to).
 
     Attributes:
         channel: only this one; empty: all.
@@ -498,6 +529,88 @@ class Unfollow(msgspec.Struct, frozen=True):
     channel: str
 
 
+@packet_type("halt")
+class Halt(msgspec.Struct, frozen=True):
+    """Bring all actuators of an agent to their safe hold, and keep them there until a person sends `EndHalt`.
+
+    The agent tells its neighbours, which halt as well and tell theirs. If it is halted already, that halt stays. A halt
+    is on disk before the answer comes, so an agent that is started again is still halted. The `result` is a mapping:
+    `halt` (None, or a mapping with `id`, `origin`, `by`, `reason` and `spread`), `actuators` (those that stand),
+    `late` (those that did not in time), and `not_on_disk` (why it could not be written; empty: it was).
+
+    Attributes:
+        reason: why, for people.
+        spread: whether the neighbours halt too.
+        dry_run: only report what would stand, and change nothing.
+        id: names the halt, if several agents are asked for the same one; empty: the agent draws a name.
+    """
+
+    reason: str = ""
+    spread: bool = True
+    dry_run: bool = False
+    id: str = ""
+
+
+@packet_type("end_halt")
+class EndHalt(msgspec.Struct, frozen=True):
+    """Let the actuators of an agent move again. Only a person may, from a terminal, a script or a page.
+
+    What tasks command from then on is carried out at once. It ends the halt of this agent only. The `result` is that of
+    `Halt`.
+
+    Attributes:
+        dry_run: only report whether it would be done, and change nothing.
+        id: the halt that is meant, as `Describe` tells it: another one that lasts by now is not ended. Empty: any.
+    """
+
+    dry_run: bool = False
+    id: str = ""
+
+
+@packet_type("drive")
+class Drive(msgspec.Struct, frozen=True):
+    """Drive an actuator by hand, at a velocity that is good until the device's `drive_stop_s` is over.
+
+    A drive lasts from the packet with `begin` to `EndDrive`, or until no packet came for 5 s of host time. Meanwhile a
+    task `device/drive-DEVICE` has the actuator. The task that held it before is paused, commands of all others are
+    refused, and no task starts that requires it. The `result` is a mapping: `device`, `driver` (who drives, an
+    address), `stop_after_s` (within this host time the next packet must come), `paused` (the address of the task that
+    waits; empty: none does), and `filters` (what the actuator's filters do now, as in `Describe`).
+
+    Attributes:
+        target: the actuator, whose commands are `Twist`s.
+        id: names the drive, a random text: a packet of another drive is refused.
+        v_mps: forward speed.
+        omega_radps: turning rate, counter-clockwise.
+        begin: whether it begins a drive; refused if somebody else drives.
+        take: with `begin`: take over from somebody else who drives.
+        dry_run: only report whether it would be done, and change nothing.
+    """
+
+    target: str
+    id: Annotated[str, msgspec.Meta(min_length=1, max_length=64)]
+    v_mps: float = 0.0
+    omega_radps: float = 0.0
+    begin: bool = False
+    take: bool = False
+    dry_run: bool = False
+
+
+@packet_type("end_drive")
+class EndDrive(msgspec.Struct, frozen=True):
+    """End a drive: the actuator goes to its safe hold, and the task that waits goes on.
+
+    Attributes:
+        target: the actuator.
+        id: the drive, as in `Drive`.
+        dry_run: only report whether it would be done, and change nothing.
+    """
+
+    target: str
+    id: Annotated[str, msgspec.Meta(min_length=1, max_length=64)]
+    dry_run: bool = False
+
+
 class Refusal(msgspec.Struct, frozen=True):
     """Tell why something is refused. `docs/refusals.md` lists the codes.
 
@@ -561,7 +674,7 @@ class Hold(msgspec.Struct, frozen=True):
     reason: str
 
 
-ControlRight = Literal["look", "change", "adopt", "move", "end"]
+ControlRight = Literal["look", "change", "adopt", "move", "end", "halt", "drive"]
 """What a peer needs to be obeyed; docs/security.md has a line for each."""
 CONTROLS: Final[Mapping[type, ControlRight]] = {
     Create: "change",
@@ -570,9 +683,11 @@ CONTROLS: Final[Mapping[type, ControlRight]] = {
     Stop: "change",
     Take: "move",
     Restart: "change",
+    Reload: "change",
     Reschedule: "change",
     Configure: "change",
     Migrate: "move",
+    Allocate: "move",
     Adopt: "adopt",
     Forget: "adopt",
     Guarding: "look",
@@ -585,13 +700,17 @@ CONTROLS: Final[Mapping[type, ControlRight]] = {
     Channels: "look",
     History: "look",
     Shutdown: "end",
+    Halt: "halt",
+    EndHalt: "change",
+    Drive: "drive",
+    EndDrive: "drive",
     ReloadKeys: "change",
     Begin: "change",
     Follow: "look",
     Unfollow: "look",
     Traces: "look",
 }
-"""All that can be asked for, and the right that it needs; a dry run needs `look`."""
+"""All that can be asked for, and the right that it needs; a dry run needs `look`, but not one that runs new code."""
 
 
 @packet_type("command")

@@ -110,7 +110,6 @@ RefusalCode = Literal[
     "forbidden",
     "invalid",
     "moved",
-    "needs_force",
     "not_found",
     "pending",
     "unable",
@@ -251,7 +250,7 @@ class NoCandidateError(MigrationError):
 
 
 class PeerLostError(MigrationError):
-    """The peer went away before the hand-off was decided."""
+    """The peer went away before the migration was decided."""
 
 
 EXTRAS: Final = {
@@ -259,9 +258,12 @@ EXTRAS: Final = {
     "foxglove": "foxglove",
     "gymnasium": "gym",
     "mcap": "record",
+    "opentelemetry": "otel",
     "matplotlib": "demo",
     "websockets": "web",
     "prometheus_client": "metrics",
+    "py_trees": "trees",
+    "zeroconf": "mdns",
 }
 """What is not installed with the core, by its module, and the extra that brings it."""
 

@@ -15,7 +15,7 @@ from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar, Final, Literal
 
 import msgspec
-from msgspec.structs import replace
+from msgspec.structs import force_setattr, replace
 
 from pancakes.errors import ClassError, MigrationError, describe
 from pancakes.packet import packet_type
@@ -144,6 +144,24 @@ class EmptyBattery(Cost):
         if math.isnan(level):
             raise MigrationError("its battery has not been read yet")
         return {"battery used": 1.0 - level}
+
+
+class ShortReserve(Cost):
+    """How short its reserve is: 60 divided by the seconds of its `reserve` reading (0.1: ten minutes; 1: one minute).
+
+    0 if it has no battery. It refuses if it has no reserve: it could not get to a dock at the end of the task.
+    """
+
+    name = "reserve"
+    reads = ("reserve",)
+
+    def terms(self, facts: CostFacts) -> Mapping[str, float]:
+        if facts.load.battery_level is None:
+            return {"short reserve": 0.0}
+        seconds = facts.reading("reserve").seconds
+        if seconds <= 0.0:
+            raise MigrationError(f"it must go to a dock itself: its reserve is {seconds:.0f} s")
+        return {"short reserve": 60.0 / seconds}
 
 
 class BusyHost(Cost):
@@ -277,32 +295,72 @@ def appraise(choice: CostChoice, facts: CostFacts, known: Mapping[str, Cost]) ->
 
 
 AGAIN_S: Final = 60.0
+ALLOCATION: Final = "allocation"
+"""With this `when` the team decides which agent has the task."""
+MOST_UNITS: Final = 1e12
+"""The highest value, cost, price or time (s) in an allocation: sums of them are numbers, also if an agent lies."""
 
 
 class MigrationRule(msgspec.Struct, frozen=True):
-    """Moves a task when a reading passes a threshold.
+    """Moves a task when a reading passes a threshold, or as the team's allocation says.
 
     Attributes:
-        when: the type of the readings to watch, on `system`.
+        when: the type of the readings to watch, on `system`; `allocation`: the team decides (docs/allocation.md).
         below: moves the task when the field lies below this.
         above: moves the task when the field lies above this.
-        field: the field of the reading.
+        field: the field of the reading; empty: `seconds` of a `reserve`, and `level` of all others.
         cost: the cost function that neighbours answer with, or the weight of each of several.
         then: a task to start here once this one has gone; empty: none. Not after a take-over: the agent that had the
             task is silent then.
         otherwise: a task to start here in the place of this one, which is stopped, if no agent can take it; empty:
             it goes on.
-        again_s: after no agent could take the task, the rule asks again after this long, in host time.
+        again_s: after no agent could take the task, the rule asks again after this long, in host time. With
+            `allocation`: for so long an agent that refused the task does not get it.
+        value: `allocation`: what it is worth that an agent has the task, in the unit of its cost. An agent to which it
+            costs more does not take it.
+        move_price: `allocation`: what a migration costs in addition. A smaller gain moves nothing.
+        takes_mission_s: `allocation`: how long an agent works at it, in mission seconds, one such task after the
+            other; 0: it runs beside others.
+        ends_by_mission_s: `allocation`: the mission time at which it must be over; None: none.
+        after: `allocation`: names of tasks that must be over before it begins.
+        together: `allocation`: names of tasks that other agents must have at the same time.
     """
 
     when: str
     below: float | None = None
     above: float | None = None
-    field: str = "level"
+    field: str = ""
     cost: CostChoice = "tasks"
     then: str = ""
     otherwise: str = ""
     again_s: float = AGAIN_S
+    value: float = 100.0
+    move_price: float = 1.0
+    takes_mission_s: float = 0.0
+    ends_by_mission_s: float | None = None
+    after: tuple[str, ...] = ()
+    together: tuple[str, ...] = ()
+
+    @property
+    def allocated(self) -> bool:
+        """Whether the team decides which agent has the task."""
+        return self.when == ALLOCATION
+
+    def __post_init__(self) -> None:
+        if not self.field:
+            force_setattr(self, "field", "seconds" if self.when == "reserve" else "level")
+
+    @property
+    def least_level(self) -> float | None:
+        """The battery level at which it moves the task; None: it watches something else."""
+        return self.below if self.when == "battery" and self.field == "level" else None
+
+    @property
+    def least_reserve_s(self) -> float | None:
+        """The reserve, in seconds, at which it moves the task; 0: another field decides. None: no rule on a reserve."""
+        if self.when != "reserve":
+            return None
+        return self.below if self.field == "seconds" and self.below is not None else 0.0
 
     def met_by(self, reading: object) -> bool:
         """Return whether a reading (a packet's body) asks for a move.
@@ -328,20 +386,21 @@ RENEWED: Final = 4
 
 
 class GuardRule(msgspec.Struct, frozen=True):
-    """Says how a task is guarded.
+    """How agents guard a task: if its agent is lost, another one runs it from its last checkpoint.
 
     Attributes:
-        guard: the number of guardians.
-        lease_s: how long a lease is, in host seconds.
-        checkpoint_s: how often the task is written down if it has changed, in host seconds.
-        guardians: agents that are to be its guardians before others.
-        takeover: `auto`, or `ask`: a person confirms.
+        copies: how many agents, including its own, keep its checkpoints and let one agent at a time run it.
+        lease_s: how long after the loss of most guardians it is paused, in host seconds; another agent runs it a little
+            later.
+        checkpoint_s: how often its state is written to disk if it has changed, in host seconds.
+        guardians: agents that become its guardians before others.
+        takeover: `ask`: another agent runs it only after `pancakes task recover`.
     """
 
-    guard: Literal[3, 5]
+    copies: Literal[3, 5]
     lease_s: Annotated[float, msgspec.Meta(ge=SHORTEST_LEASE_S, le=LONGEST_LEASE_S)] = 5.0
     checkpoint_s: Annotated[float, msgspec.Meta(ge=0.05, le=3600.0)] = 1.0
-    guardians: tuple[str, ...] = ()
+    guardians: Annotated[tuple[str, ...], msgspec.Meta(max_length=4)] = ()
     takeover: Literal["auto", "ask"] = "auto"
 
 
@@ -391,7 +450,7 @@ class MigrationReport(msgspec.Struct, frozen=True):
         winner: the agent that has it, or (dry run) would get it; empty if none.
         lines: one for each neighbour that was asked, by name.
         duration_s: host time from the first asking to the outcome.
-        offer: the hand-off that ended it, such as `3@agent1`; empty if none did.
+        offer: the epoch under which the task goes on, such as `3@agent2`; empty if that is as before.
         to: the only neighbour that was to be asked; empty: all.
         cause: of a task that was taken over: from which agent and from which checkpoint, as a sentence; else empty.
     """
@@ -409,11 +468,11 @@ class MigrationReport(msgspec.Struct, frozen=True):
     cause: str = ""
 
     def moved(self, offer: str) -> MigrationReport:
-        """Return the account of a move that was undecided: the hand-over has happened."""
+        """Return the account of a move that was undecided: the task has migrated."""
         return replace(self, outcome="moved", offer=offer)
 
     def stayed(self, offer: str, reason: str) -> MigrationReport:
-        """Return the account of a move that was undecided: the hand-over has come to nothing."""
+        """Return the account of a move that was undecided: it has come to nothing."""
         lines = tuple(
             replace(line, fate="failed", reason=reason) if line.peer == self.winner else line for line in self.lines
         )

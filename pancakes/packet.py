@@ -16,7 +16,8 @@ Source and number identify a packet for good: each life of an agent begins at an
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import fields, is_dataclass
 from typing import TYPE_CHECKING, Any, Final, Generic, Protocol, TypeVar
 from zlib import crc32
@@ -86,13 +87,54 @@ class Turn:
         self.deferred: list[Callable[[], None]] = []
 
 
+class NewTypes:
+    """The packet types that modules bring which are imported again; see `new_types`.
+
+    Args:
+        before: returns the names that a module had before it was imported again.
+
+    Attributes:
+        classes: the new classes, by the name of their type.
+        replaced: the classes in use that differ from them, by the name of their type.
+    """
+
+    def __init__(self, before: Callable[[str], dict[str, Any]]) -> None:
+        self.before = before
+        self.classes: dict[str, type] = {}
+        self.replaced: dict[str, type] = {}
+
+    def gather(self, name: str, cls: type[_T]) -> type[_T]:
+        """Take a class in; return it, or the one in use if that is the same."""
+        known = _CLASSES.get(name)
+        if known is not None:
+            from pancakes.util.class_versions import differs  # few agents ever need it
+
+            if not differs(known, cls, self.before(known.__module__)):
+                return known
+            self.replaced[name] = known
+        self.classes[name] = cls
+        _NAMES[cls] = name
+        return cls
+
+    def forget(self, module: str = "") -> None:
+        """Leave the classes of a module as they are in use; empty: all."""
+        for name in [name for name, cls in self.classes.items() if module in ("", cls.__module__)]:
+            _NAMES.pop(self.classes.pop(name), None)
+            self.replaced.pop(name, None)
+
+    def install(self) -> None:
+        """Give packets that come from now on bodies of the new classes. Any thread."""
+        _CLASSES.update(self.classes)
+
+
 class _Thread(threading.local):
     def __init__(self) -> None:
         self.turn = Turn()
+        self.new_types: NewTypes | None = None
 
 
 THREAD: Final = _Thread()
-"""Has the `turn` of the thread that asks."""
+"""Has the `turn` of the thread that asks, and what gathers the packet types that it registers; None: they are used."""
 
 
 SYSTEM: Final = "system"
@@ -205,11 +247,32 @@ def packet_type(name: str) -> Callable[[type[_T]], type[_T]]:
                 f"the packet type {name!r} is already {known.__module__}.{known.__qualname__},"
                 f" so {cls.__module__}.{cls.__qualname__} needs another name"
             )
+        if THREAD.new_types is not None:
+            return THREAD.new_types.gather(name, cls)
         _CLASSES[name] = cls
         _NAMES[cls] = name
         return cls
 
     return register
+
+
+@contextmanager
+def new_types(before: Callable[[str], dict[str, Any]]) -> Iterator[NewTypes]:
+    """Gather the packet types that this thread registers in the block; those in use stay as they are.
+
+    A class that does not differ from the one in use gives way to it, so that it is one class for all that know it.
+
+    Args:
+        before: returns the names that a module had before it was imported again.
+    """
+    gathered = THREAD.new_types = NewTypes(before)
+    try:
+        yield gathered
+    except BaseException:
+        gathered.forget()
+        raise
+    finally:
+        THREAD.new_types = None
 
 
 def has_fields(cls: type) -> bool:

@@ -12,7 +12,7 @@ A task says what it depends on and what it reacts to, and owns no thread, socket
             self.log.info(f"{self.settings.colour} at {tick.time_s:.0f} s")
 
 With `class Blink(Task[BlinkSettings, BlinkState])` type checkers know what `self.settings` and `self.state` are; both
-are classes of their own then, and the second may be left out.
+are classes of their own then. The second may be left out, and None stands for no settings.
 
 A method may be `async def`, for what waits: a web API, a camera service, a database.
 
@@ -30,14 +30,15 @@ any method. The task can be stopped and migrated meanwhile: see `pancakes.kernel
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, ClassVar, Final, Generic, TypeVar, get_args, get_origin
+from collections.abc import Callable, Coroutine, Mapping
+from typing import TYPE_CHECKING, Any, ClassVar, Final, Generic, TypeVar, get_args, get_origin, overload
 
 import msgspec
 
 from pancakes.control import Migrate
+from pancakes.errors import PancakesError
 from pancakes.kernel.actor import COMPONENT_HOOKS, Component
-from pancakes.kernel.handlers import HOOKS_AWAITED, Tick, every, on, reliable
+from pancakes.kernel.handlers import HOOKS_AWAITED, Tick, answers_of, every, on, reliable
 from pancakes.kernel.mailbox import Mailbox
 from pancakes.migration import CostChoice, GuardRule, MigrationRule
 from pancakes.packet import SYSCTRL
@@ -50,6 +51,7 @@ if TYPE_CHECKING:
     import typing_extensions
 
     from pancakes.kernel.kernel import Kernel
+    from pancakes.request import Answer, AnswerT, Asked, FeedbackT, Pending, Request
 
     SettingsT = typing_extensions.TypeVar("SettingsT", default=Any)
     StateT = typing_extensions.TypeVar("StateT", default=Any)
@@ -96,7 +98,7 @@ class TaskSpec(msgspec.Struct, frozen=True):
     arguments: Mapping[str, Any] = NONE
 
 
-_HOOKS: Final = (*COMPONENT_HOOKS, "on_settings", "Settings", "State", "requires", "offers")
+_HOOKS: Final = (*COMPONENT_HOOKS, "on_settings", "on_cancel", "Settings", "State", "requires", "offers")
 _MADE_WITH: Final = ("kernel", "address", "mailbox", "carried", "rate_hz", "fence", "owner", "tells_each_turn")
 
 
@@ -146,9 +148,10 @@ class Task(Component, Generic[SettingsT, StateT]):
         check_own_names(cls, Task, _HOOKS, ("settings", "state"))
         super().__init_subclass__(**others)
         for name, given in zip(("Settings", "State"), _given_types(cls), strict=False):
-            if isinstance(given, type) and given is not Any and name not in vars(cls):
+            if isinstance(given, type) and given not in (Any, type(None)) and name not in vars(cls):
                 setattr(cls, name, given)
         check_made(cls)
+        answers_of(cls)
         check_words(cls, "requires", "offers")
         check_saved(cls, "Settings", "State")
         check_offers(cls.__qualname__, cls.State, cls.offers)
@@ -166,6 +169,76 @@ class Task(Component, Generic[SettingsT, StateT]):
 
     def on_settings(self) -> None:
         """Called in the actor after the settings were changed while it runs."""
+
+    def on_cancel(self, pending: Pending[Any, Any]) -> None:
+        """Called in the actor when a request that it answers later is not wanted any more: cancelled, or out of time.
+
+        It is closed already. A method that answers by what it returns is not told: one that awaits is cancelled.
+        """
+
+    @overload
+    def ask(
+        self,
+        to: str,
+        request: Request[AnswerT, FeedbackT],
+        *,
+        timeout_s: float = 5.0,
+        feedback: Callable[[FeedbackT], object] | None = None,
+    ) -> Coroutine[Any, Any, AnswerT]: ...
+
+    @overload
+    def ask(
+        self,
+        to: str,
+        request: Request[AnswerT, FeedbackT],
+        *,
+        then: Callable[[Answer[AnswerT]], object],
+        timeout_s: float = 5.0,
+        feedback: Callable[[FeedbackT], object] | None = None,
+    ) -> Asked: ...
+
+    def ask(
+        self,
+        to: str,
+        request: Request[Any, Any],
+        *,
+        then: Callable[[Answer[Any]], object] | None = None,
+        timeout_s: float = 5.0,
+        feedback: Callable[[Any], object] | None = None,
+    ) -> Any:
+        """Ask another task for something. It answers once at most, and never blocks this one.
+
+        In an `async def` method: `position = await self.ask("task:robot2/Finder", Where("cup"))`. It waits between
+        turns. If it is cancelled, because the task is stopped or moves for instance, so is the request. In any method:
+        `self.ask(..., then=self.found)` returns at once, and `self.found` gets an `Answer`, also if the task has moved
+        meanwhile.
+
+        Args:
+            to: the task: `task:birthplace/name` (see `task_address`) finds it wherever it is, and waits while it
+                moves; `agent/service/task` means the one that is there now.
+            request: the request.
+            then: the method of this task that takes the answer; None: the result is awaited.
+            timeout_s: after this time in mission seconds the request is called off.
+            feedback: takes each feedback on the way; with `then`, a method of this task.
+
+        Returns:
+            What to await, for the answer; with `then`, the request that may be cancelled.
+
+        Raises:
+            RequestError: awaited: it was refused, failed, or the other task was not found. Also if too many requests
+                wait already, or this one cannot be sent.
+            RequestTimeoutError: awaited: the time was up.
+            PancakesError: an argument makes no sense; or what `publish` raises.
+        """
+        core = self._actor
+        if then is not None:
+            return core.requests.ask(to, request, timeout_s, then, feedback)
+        if not core.awaits:
+            raise PancakesError(
+                f"{self.address} has no `async def` method that could await the answer: name a method that takes it, as"
+                " in `self.ask(..., then=self.answered)`"
+            )
+        return core.requests.answer_to(to, request, timeout_s, feedback)
 
     def migrate(self, to: str = "", then: str = "", cost: CostChoice = "tasks") -> None:
         """Ask for this task to be moved to the neighbour that takes it for the lowest cost.

@@ -42,13 +42,14 @@ BY_FOLDER = {
     "cli": "live",
     "client": "live",
     "deploy": "live",
+    "examples": "live",
     "launch": "live",
     "trials": "live",
     "ros2": "foreign",
     "systemd_vm": "foreign",
     "zenoh_links": "foreign",
 }
-SEARCHES = ("guarding", "hosting", "life", "migration")
+SEARCHES = ("life", "register")
 """The folders whose `_full` files are exhaustive searches."""
 
 

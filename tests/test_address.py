@@ -4,7 +4,7 @@ import pytest
 from seeded import for_each
 
 from pancakes.config import Address, parse_address
-from pancakes.mesh.address import spelt
+from pancakes.mesh.address import dialled, spelt
 
 
 def test_address_parts():
@@ -81,3 +81,20 @@ def test_address_that_is_none_says_why():
 def test_only_a_port_of_0_asks_for_any_port():
     assert parse_address("tcp://localhost:0").any_port
     assert not parse_address("tcp://localhost:1").any_port and not parse_address("unix:///run/robot1").any_port
+
+
+def test_agent_address_without_a_port_has_the_default_one():
+    for text, whole in (
+        ("robot1", "tcp://robot1:7401"),
+        ("10.0.0.5", "tcp://10.0.0.5:7401"),
+        ("[fe80::1%eth0]", "tcp://[fe80::1%eth0]:7401"),
+        ("tcp://robot1", "tcp://robot1:7401"),
+        ("robot1:80", "tcp://robot1:80"),
+        ("local://robot1", "local://robot1"),
+    ):
+        assert dialled(text) == whole
+    assert spelt("tcp://robot1") == "tcp://robot1:7401"
+    with pytest.raises(ValueError, match="has no port"):
+        dialled("robot1:")
+    with pytest.raises(ValueError, match="has no port"):  # a bus, or a node that is no agent
+        parse_address("tcp://robot1")

@@ -27,10 +27,16 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 from pancakes.devices.driver import Actuator, Sensor
+from pancakes.filters.filter import Filter
 from pancakes.migration import Cost
 from pancakes.durable.client_service import ClientService
+from pancakes.packet import packet_type
+from pancakes.request import Pending, Request, answers
 from pancakes.service import Service
 from pancakes.task import Task, every, on, reliable
+@packet_type("refusals.where")
+class Where(Request[float], frozen=True):
+    name: str
 class Gripper: ...
 """
 
@@ -102,6 +108,11 @@ METHODS = [
         "def write(self, command, ttl_s, source)",
     ),
     ("Cost", "name = 'mine'\n    def terms(self): ...", "def terms(self, facts)"),
+    ("Task", "@answers(Where)\n    def find(self): ...", "def find(self, request: Where)"),
+    ("Task", "@answers(Where)\n    def find(self, request, pending, more): ...", "def find(self, request: Where)"),
+    ("Task", "@answers(Where)\n    def find(self, request):\n        yield", "def find(self, request: Where)"),
+    ("Task", "async def on_cancel(self, pending): ...", "def on_cancel(self, pending)"),
+    ("Task", "def on_cancel(self): ...", "def on_cancel(self, pending)"),
 ]
 
 
@@ -122,6 +133,9 @@ MARKED = [
     ("Task", "@every(hz=1)\n    @on('system')\n    def go(self, it): ...", "both @on and @every"),
     ("Service", "@on('system')\n    @every(hz=1)\n    def go(self, it): ...", "both @on and @every"),
     ("Task", "@on('system')\n    @on('system')\n    def go(self, it): ...", "twice with @on('system')"),
+    ("Task", "@answers(Where)\n    @on('system')\n    def go(self, it): ...", "@answers and with @on or @every"),
+    ("Service", "@answers(Where)\n    def go(self, it): ...", "a service answers no requests"),
+    ("Task", "@property\n    @answers(Where)\n    def go(self, it): ...", "leave @property out"),
     ("Task", "@on('system', 'pose')\n    @on('system')\n    def go(self, it): ...", "twice with @on('system')"),
     ("Task", "@every(hz=1)\n    def on_start(self, it=None): ...", "calls on_start itself"),
     ("Task", "@on('system')\n    def on_settings(self, it=None): ...", "calls on_settings itself"),
@@ -597,6 +611,7 @@ DECORATED = [
     ("services", "@dataclass\nclass Robot(Service):\n    speed: float = 1.0\n"),
     ("drivers", "@dataclass\nclass Robot(Sensor):\n    type = 'x'\n    def read(self): ...\n"),
     ("costs", "@dataclass\nclass Robot(Cost):\n    weight: float\n    def terms(self, facts): ...\n"),
+    ("filters", "@dataclass\nclass Robot(Filter):\n    def apply(self, command, ttl_s, source): ...\n"),
 ]
 ABSTRACT = [
     (
@@ -606,6 +621,7 @@ ABSTRACT = [
     ),
     ("drivers", "class Robot(Sensor):\n    type = 'x'\n", "`def read(self)`"),
     ("costs", "class Robot(Cost): ...\n", "`def terms(self, facts)`"),
+    ("filters", "class Robot(Filter): ...\n", "`def apply(self, command, ttl_s, source)`"),
     (
         "tasks",
         "from abc import ABC, abstractmethod\nclass Robot(Task, ABC):\n    @abstractmethod\n    def go(self): ...\n",
@@ -677,3 +693,13 @@ def test_task_that_a_service_cannot_make_is_given_up_at_once(fleet):
     for name, said in wanted.items():
         assert said in str(agent.wait_for_event("task_given_up", task=name))
         assert not agent.events("task_failed", task=name, then="restart")
+
+
+def test_class_refusal_of_what_answers_no_request_or_one_twice(module_of):
+    assert "a class of requests, not 'where'" in refusal(module_of, "@answers('where')\ndef go(self, it): ...\n")
+    twice = "    @answers(Where)\n    def {}(self, it): ...\n"
+    said = refusal(module_of, "class Robot(Task):\n" + twice.format("other") + twice.format("go"))
+    assert "Robot.go answers Where, as other does" in said
+    assert "is a staticmethod" in refusal(module_of, "@answers(Where)\n@staticmethod\ndef go(it): ...\n")
+    unregistered = "class Other(Request[float], frozen=True): ...\n@answers(Other)\ndef go(self, it): ...\n"
+    assert "decorate it with @packet_type" in refusal(module_of, unregistered)

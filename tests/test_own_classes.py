@@ -11,7 +11,13 @@ from pancakes.devices.driver import Driver
 from pancakes.kernel.actor import Component
 from pancakes.util import class_checks
 
-OPTIONAL = ("pancakes.gym", "pancakes.pytest_plugin", "pancakes.tools.metrics")
+OPTIONAL = (
+    "pancakes.gym",
+    "pancakes.pytest_plugin",
+    "pancakes.tools.metrics",
+    "pancakes.trees",
+    "pancakes.tools.traces",
+)
 """Need what not everybody installs, or change what is around them."""
 
 

@@ -39,15 +39,19 @@ MODULES = (
     "pancakes.control",
     "pancakes.errors",
     "pancakes.events",
+    "pancakes.filters.filter",
     "pancakes.gym",
     "pancakes.migration",
     "pancakes.packet",
     "pancakes.pytest_plugin",
+    "pancakes.request",
     "pancakes.service",
     "pancakes.settings",
     "pancakes.simulation",
     "pancakes.task",
     "pancakes.testing",
+    "pancakes.trees",
+    "pancakes.worlds",
 )
 """What the guides import, and what those inherit."""
 WRITE = f".venv/bin/python {Path(__file__).relative_to(HERE.parent)} --write"

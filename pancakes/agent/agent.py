@@ -8,7 +8,7 @@ import threading
 import uuid
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
 
@@ -24,17 +24,18 @@ from pancakes.agent.transport_settings import (
 from pancakes.config import Config
 from pancakes.config.state_dir import state_dir_of
 from pancakes.control import CONTROLS, Refusal
-from pancakes.durable.census import CENSUS, BootMemory, Census, NeighbourUp
+from pancakes.durable.answers import Boot, BootMemory, NeighbourUp
 from pancakes.durable.client_service import ClientService
 from pancakes.durable.courier import COURIER, Courier, SharedOutbox
 from pancakes.durable.delivery import Outbox
-from pancakes.durable.guardian import Guardian, kept_of_peers
 from pancakes.durable.host_state import IMPORTER, HostState, Importer, describe_process
 from pancakes.durable.installed import Installed
-from pancakes.durable.ownership import Boot
-from pancakes.durable.ownership_checks import BirthRule
+from pancakes.durable.messages import REGISTRAR
+from pancakes.durable.questions import BirthRule
 from pancakes.durable.record import resting
-from pancakes.durable.store import RECORD, MigrationReports, Records, Registers
+from pancakes.durable.register import Identity as Owner
+from pancakes.durable.registrar import Registrar, kept_of_peers
+from pancakes.durable.store import RECORD, MigrationReports, Records
 from pancakes.errors import PancakesError, describe, traceback_of
 from pancakes.events import Event
 from pancakes.journal import Disk, FileJournal, Journal, MemoryJournal, RecordStore, ThreadedStore, VirtualStore
@@ -51,20 +52,22 @@ from pancakes.mesh.session import Gate
 from pancakes.mesh.sockets import ADVICE
 from pancakes.mesh.transport import SocketTransport, Transport
 from pancakes.mesh.trust import UNCHECKED, can_check
-from pancakes.packet import LOG, Packet, body_class, first_number, join
+from pancakes.packet import LOG, SYSCTRL, Packet, body_class, first_number, join
 from pancakes.security.access import Access
 from pancakes.security.roster import Roster
 from pancakes.service import Service
 from pancakes.services.device import DeviceService
 from pancakes.services.fence import Fences, FencesOfAgent
+from pancakes.services.halt import Halts, PeerMet
 from pancakes.services.log import LogService, wanted_recordings
 from pancakes.services.network import NetworkService
 from pancakes.services.root import Root
 from pancakes.services.service_supervisor import Closer, MissionStart
-from pancakes.supervision.messages import GUARDIAN, Close, NoRoom, PeerDown
+from pancakes.supervision.messages import Close, NoRoom, PeerDown
 from pancakes.util.clock import SkewedClock
 from pancakes.util.files import FileMark
 from pancakes.util.plugins import Plugins
+from pancakes.util.text import printable
 
 if TYPE_CHECKING:
     from pancakes.security.keys import Keys
@@ -74,6 +77,10 @@ _TOLD_ONCE = ("name", "role", "fleet", "listen")
 """What the description of an agent itself says, so its mesh need not repeat it."""
 CLOSE_S = 1.5
 """How long, in host time, an agent waits for its tasks to end before it stops all the same."""
+
+
+MOST_EARLY: Final = 1000
+"""How many messages with control packets wait, at most, until the network of an agent runs."""
 
 
 class Virtual(msgspec.Struct, frozen=True):
@@ -151,6 +158,9 @@ class Agent:
         self._clients: set[str] = set()
         self._drop_logged_s = -math.inf
         self._early_log = EarlyLog(self.ready)
+        # What was asked of it before its network runs, when no answer would leave; None: it runs.
+        self._early: list[tuple[str, Sequence[Packet], int]] | None = []
+        self._early_lock = threading.Lock()
         self.skipped: list[str] = []
         self.skipped.extend(str(fault) for fault in self._plugins.load_packets())
         journal = virtual.journal if virtual is not None else self._open_journal()
@@ -185,14 +195,14 @@ class Agent:
         self.store = store
         self.kernel.life, self.kernel.first_number = f"{journal.uuid}/{journal.boot}", first_number(journal.life)
         self._remarks, self.kernel.disk_use = journal.remarks, lambda: journal.use
-        self._config_file = FileMark(config.path if virtual is None else "")
+        self._config_files = {path: FileMark(path if virtual is None else "") for path in config.places.files}
         self._warnings = RecentWarnings(self.kernel.tasks)
         self.kernel.stream.tap(LOG, lambda packet: self._warnings.take(packet, self.kernel.host.now()), ("line",))
         disk = Disk(journal, store, self.skipped)
-        self.records = Records(disk)
-        self.resting = self._resting()
-        self._registers = Registers(disk)
         self._boots = BootMemory(disk)
+        self.records = Records(disk, Owner(self.name, journal.uuid, journal.copy), self._boots.journals())
+        self.resting = self._resting()
+        self._halts = Halts(disk, self.kernel)
         self.ledgers = MigrationReports(disk, self.kernel.log)
         self._installed = installed = Installed(self._plugins)
         self.host_state = HostState(self.kernel, config.agent.role, installed, self.records)
@@ -237,7 +247,14 @@ class Agent:
         shared: dict[type[Service], dict[str, Any]] = {
             LogService: {"wanted": wanted_recordings(disk)},
             DeviceService: {"fences": FencesOfAgent(Fences(disk), self.records, self.ledgers)},
-            NetworkService: {"mesh": self.mesh, "state": self.host_state, "ledgers": self.ledgers},
+            NetworkService: {
+                "mesh": self.mesh,
+                "state": self.host_state,
+                "records": self.records,
+                "ledgers": self.ledgers,
+                "began": self._take_early,
+                "mdns": config.agent.mdns,
+            },
             ClientService: {
                 "mesh": self.mesh,
                 "state": self.host_state,
@@ -261,9 +278,8 @@ class Agent:
             PancakesError: its port is in use.
         """
         self._tend(Courier, COURIER, outbox=self.outbox, records=self.records, mesh=self.mesh)
-        knows = {"records": self.records, "registers": self._registers, "state": self.host_state, "mesh": self.mesh}
-        self._tend(Census, CENSUS, **knows, boots=self._boots)
-        self._tend(Guardian, GUARDIAN, **knows)
+        knows = {"records": self.records, "boots": self._boots, "state": self.host_state, "mesh": self.mesh}
+        self._tend(Registrar, REGISTRAR, **knows)
         if self.kernel.virtual is None:
             self._tend(Importer, IMPORTER, installed=self._installed)
         try:
@@ -280,6 +296,8 @@ class Agent:
             configuration=lambda: self._composition.configuration(self.records.all().values()),
             migrations=self.ledgers.plain,
             services_in_doubt=self.records.services_in_doubt,
+            halts=self._halts,
+            catalogue=self._installed,
             ready=self._become_ready,
             mission_start=MissionStart(self.kernel, self.mesh, clock.hold, clock.join_s, comes_back),
             shutdown=self._shut_down,
@@ -352,7 +370,7 @@ class Agent:
         self._release()
 
     def _release(self) -> None:
-        for place in (COURIER, CENSUS, GUARDIAN):
+        for place in (COURIER, REGISTRAR):
             actor = self.kernel.actor(place)
             if actor is not None:
                 actor.stop()
@@ -417,17 +435,23 @@ class Agent:
             "insecure": self.insecure_over,
             "roster": self._roster_number(),
             "roster_fault": fault._asdict() if (fault := self.mesh.roster_fault) is not None else None,
-            "config_file": {"path": self.config.path, "changed": self._config_file.changed()},
+            "config_file": self._describe_file(),
             "plugins": self._plugins.brings_tasks(),
             "journal_fault": self.store.fault(),
-            "kept_of_peers": kept_of_peers(self.name, self.records.all().values(), self._registers.all()),
+            "kept_of_peers": kept_of_peers(self.name, self.records.all().values()),
             "warnings": self._warnings.lines(self.kernel.host.now()),
             "mesh": {key: value for key, value in self.mesh.describe().items() if key not in _TOLD_ONCE},
+            "halt": self._halts.describe(),
             "speed": self.config.clock.speed,
             # In virtual time many agents share one process.
             "process": describe_process(self.kernel.host.now() - self._born_s) if self.kernel.virtual is None else None,
             **self.host_state.describe(),
         }
+
+    def _describe_file(self) -> dict[str, Any]:
+        """Return whether the configuration on disk has changed since, and which of its files."""
+        changed = [path for path, mark in self._config_files.items() if mark.changed()]
+        return {"path": printable(next(iter(changed), self.config.path)), "changed": bool(changed)}
 
     def _roster(self) -> Roster | None:
         return self._keys.roster if self._keys is not None else None
@@ -441,7 +465,23 @@ class Agent:
 
     def receive(self, peer: str, packets: Sequence[Packet], size: int) -> None:
         """Pass the packets of a peer to the stream; they had `size` bytes on the link. In the transport's thread."""
+        if self._early is not None and any(packet.channel == SYSCTRL for packet in packets):
+            with self._early_lock:
+                if self._early is not None and len(self._early) < MOST_EARLY:
+                    self._early.append((peer, packets, size))
+                    return
         self.kernel.stream.inject_all(packets, partial(self._refused, peer), size)
+
+    def _take_early(self) -> None:
+        """Pass on what was asked of the agent between the first link and the start of its network."""
+        while True:
+            with self._early_lock:  # what comes meanwhile waits behind what came before
+                early = self._early or []
+                self._early = [] if early else None
+            if not early:
+                return
+            for peer, packets, size in early:
+                self.kernel.stream.inject_all(packets, partial(self._refused, peer), size)
 
     def _on_unfit(self, peer: str, packet: Packet, reason: str) -> None:
         self.kernel.stream.undelivered += 1
@@ -469,8 +509,10 @@ class Agent:
             self._clients.add(hello.name)
         else:
             self._early_log.say(lambda: self.kernel.say(Event("peer_up", {"peer": hello.name, "role": hello.role})))
+        if self._halts.record.halted and hello.role != "client" and (root := self._root) is not None:
+            tell(root, PeerMet(hello.name))
         if hello.role == "agent":
-            self.kernel.tell(CENSUS, NeighbourUp(hello.name, Boot(hello.journal, hello.boot, hello.life)))
+            self.kernel.tell(REGISTRAR, NeighbourUp(hello.name, Boot(hello.journal, hello.boot, hello.life)))
 
     def _on_peer_down(self, name: str, reason: str, asleep_s: float | None) -> None:
         if name in self._clients:
@@ -478,8 +520,9 @@ class Agent:
         else:
             self._early_log.say(lambda: self.kernel.say(Event("peer_down", {"peer": name, "reason": reason})))
         for spec in self._specs:
-            if issubclass(spec.cls, (NetworkService, ClientService)):
+            if issubclass(spec.cls, NetworkService):
                 self.kernel.tell(spec.name, PeerDown(name))
+        self.kernel.tell(REGISTRAR, PeerDown(name))
 
     # Composition -----------------------------------------------------------------------------------------------
 

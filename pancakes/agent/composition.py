@@ -13,6 +13,7 @@ from pancakes.durable.client_service import ClientService
 from pancakes.durable.installed import Installed
 from pancakes.durable.record import Record
 from pancakes.errors import ConfigError, ControlRefusedError, PluginError
+from pancakes.filters.chain import FilterSpec
 from pancakes.kernel.kernel import Folders
 from pancakes.recording.settings import RecordingSettings
 from pancakes.service import Service
@@ -23,6 +24,7 @@ from pancakes.services.service_supervisor import ServiceSpec
 from pancakes.settings import paths_in
 from pancakes.task import TaskSpec
 from pancakes.util.plugins import Plugins
+from pancakes.util.text import printable
 
 FIRST: tuple[type[Service], ...] = (LogService, DeviceService, NetworkService)
 """Services of these classes start before all others, in this order; the tasks of the user need them."""
@@ -88,7 +90,7 @@ class Composition:
         created = {name: table for name, table in of_records.items() if name not in found["task"]}
         tables = {**found, "task": {**found["task"], **created}}
         said = {
-            key_text(keys): origin(self._config, keys)
+            key_text(keys): printable(origin(self._config, keys))
             for keys, _ in leaves(found)
             if origin(self._config, keys) != DEFAULT
         }
@@ -105,7 +107,7 @@ class Composition:
         for spec in specs:
             given.append((spec.cls.Settings, spec.settings))
             given += [(task.cls.Settings, task.settings) for task in spec.tasks]
-            given += [(device.cls.Settings, device.settings) for device in spec.arguments.get("devices", ())]
+            given += [(it.settings_class, it.all_settings) for it in spec.arguments.get("devices", ())]
             given.append((RecordingSettings, spec.arguments.get("record") or {}))
         return [path for cls, settings in given for _, path in paths_in(cls, settings) if path]
 
@@ -147,16 +149,25 @@ class Composition:
         except PluginError as error:
             self._skip(f"the device {config.name}", error)
             return None
+        filters = [it for it in self._config.filters.values() if it.device == config.name]
+        try:
+            classes = [self._plugins.get("pancakes.filters", it.type) for it in filters]
+        except PluginError as error:
+            # Without one of its filters it must not move.
+            self._skip(f"the device {config.name}", error)
+            return None
         return DeviceSpec(
             config.name,
             cls,
             config.driver,
             config.settings,
             config.rate_hz,
-            config.hold_after_s,
+            config.hold_after_mission_s,
             config.restart,
             config.missed,
-            config.silent_s,
+            config.silent_mission_s,
+            tuple(FilterSpec(it.name, cls, it.type, it.settings) for it, cls in zip(filters, classes, strict=True)),
+            config.drive_stop_s,
         )
 
     def _task(self, config: TaskConfig) -> TaskSpec | None:
@@ -202,7 +213,7 @@ class Composition:
             restart=config.restart,
             durability=config.durability,
             rule=config.migrate,
-            guard=config.guard_rule,
+            guard=config.guard,
             arguments=self._arguments.get(config.name, {}),
         )
 

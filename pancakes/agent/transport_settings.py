@@ -79,6 +79,12 @@ def keys_for(config: Config, network: NetworkService.Settings, plugins: Plugins)
         except PancakesError as error:
             key = ("service", "network", "settings", "keys") if network.keys else ("agent", "name")
             raise ConfigError([places.fault(key, str(error))]) from None
+    if agent.mdns:
+        text = (
+            f"needs keys of the agent {agent.name} of the fleet {agent.fleet}, because anyone can announce an address"
+            " and keys decide which agent is let in: run pancakes keys join, or name the agents in peers"
+        )
+        raise ConfigError([places.fault(("agent", "mdns"), text)])
     addresses = keyed_addresses(agent, plugins)
     if addresses and not network.insecure:
         raise ConfigError(
@@ -86,7 +92,7 @@ def keys_for(config: Config, network: NetworkService.Settings, plugins: Plugins)
                 places.fault(
                     ("agent", "listen" if addresses[0] in agent.listen else "peers"),
                     f"{addresses[0]!r} needs keys of the agent {agent.name} of the fleet {agent.fleet}: run pancakes"
-                    f" fleet join, or use {LOCAL}://{agent.name} for this machine only",
+                    f" keys join, or use {LOCAL}://{agent.name} for this machine only",
                 )
             ]
         )
@@ -98,5 +104,5 @@ def _keys_of(agent: AgentConfig, folder: Path) -> Keys:
 
     keys = Keys(folder)
     if fault := fault_of_bearer(keys.own, agent.name, agent.role, agent.fleet):
-        raise PancakesError(f"the keys in {folder} are not those of this agent: {fault}. Run pancakes fleet join")
+        raise PancakesError(f"the keys in {folder} are not those of this agent: {fault}. Run pancakes keys join")
     return keys

@@ -153,7 +153,7 @@ class Client:
     all subscribers end, and what was published has arrived. `AsyncClient` is the same for asyncio.
 
     Args:
-        at: an address to begin with (`HOST:PORT`, `tcp://HOST:PORT` or `local://NAME`), or several; none: what runs on
+        at: an address to begin with (`HOST`, `HOST:PORT` or `local://NAME`), or several; none: what runs on
             this machine. A `Target` names a fleet as well.
         timeout_s: the time limit of each call, in seconds.
         say: takes sentences about what is not an error: an agent is silent, goes or comes back, or a subscriber is

@@ -129,6 +129,7 @@ QUIET: Final = (
     "roster",
     "task_frozen",
     "safe_hold",
+    "allocation_began",
 )
 """Kinds of events that most people need not see."""
 _ENVELOPE: Final = ("t_s", "agent", "source", "kind", "number", "entry")
@@ -161,25 +162,65 @@ def _migration(agent: str, record: Mapping[str, Any]) -> str:
     return f"{record['task']} {record['outcome']}" + (f" to {record['winner']}" if record["winner"] else "") + only
 
 
+def _allocation(agent: str, record: Mapping[str, Any]) -> str:
+    moves = [
+        f"{line['task'].rpartition('/')[2]} to {line['winner']}"
+        for line in record["lines"]
+        if line["winner"] not in ("", line["owner"])
+    ]
+    would = "would migrate" if record["dry_run"] else "migrates"
+    gap = "" if record["gap"] is None else f"; {record['gap']:.1%} below the best allocation"
+    return f"allocation {record['number']}, begun by {agent}: {would} {', '.join(moves) or 'nothing'}{gap}"
+
+
 def _asked(agent: str, record: Mapping[str, Any]) -> str:
     return f"{agent} asks {'only ' + record['to'] if record.get('to') else 'all neighbours'} to take {record['task']}"
 
 
+def _filtered(agent: str, record: Mapping[str, Any]) -> str:
+    does = {"passes": "lets commands pass again", "changes": "changes commands", "holds": "holds it"}[record["doing"]]
+    reason = f": {record['reason']}" if record["reason"] else ""
+    return f"{agent}/{record['device']}: the filter {record['filter']} {does}{reason}"
+
+
+def _drive_begun(agent: str, record: Mapping[str, Any]) -> str:
+    before = f", taken over from {agent_of(record['taken_from'])}" if record["taken_from"] else ""
+    waits = f": {record['holder']} waits" if record["holder"] else ""
+    return f"{agent_of(record['by'])} drives {record['device']} of {agent} by hand{before}{waits}"
+
+
+def _drive_ended(agent: str, record: Mapping[str, Any]) -> str:
+    why = {"ended": "", "silent": ", and is silent"}.get(record["reason"], f": the drive was {record['reason']}")
+    goes_on = f": {record['holder']} goes on" if record["holder"] else ""
+    return f"{agent_of(record['by'])} no longer drives {record['device']} of {agent}{why}{goes_on}"
+
+
 _SENTENCES: Final = {
     "line": lambda agent, it: f"{agent}: {it['text']}",
+    "task_reloaded": lambda agent, it: f"{it['task']} goes on in a new class on {agent}: {it['type']} {it['version']}",
     "task_started": lambda agent, it: f"{agent} runs {it['task']}",
     "task_stopped": lambda agent, it: f"{agent} stopped {it['task']}: {it['reason']}",
     "migration_asked": _asked,
     "migration_bid": lambda agent, it: f"{agent} bids {it['cost']:g} for {it['task']}",
     "migration_refused": lambda agent, it: f"{agent} refuses {it['task']}: {it['reason']}",
     "migration": _migration,
+    "allocation": _allocation,
     "task_arrived": lambda agent, it: f"{agent} took {it['task']} from {it['source_agent']} with its state",
     "agent_lost": lambda agent, it: f"{agent} is killed",
     "agent_returned": lambda agent, it: f"{agent} is started again, on its disk",
     "task_handed_over": lambda agent, it: f"{agent} handed {it['task']} over to {it['to']}",
     "taken_over": lambda agent, it: f"{it['by']} took {it['task']} over from {it['source_agent']}, which is silent",
-    "permit_lost": lambda agent, it: f"{it['task']} stands still on {agent}: its guardians do not answer",
+    "permit_lost": lambda agent, it: f"{it['task']} is paused on {agent}: its guardians do not answer",
     "rate_changed": lambda agent, it: f"{agent} runs {it['task']} at {it['rate_hz']:g} Hz, asked by {it['by']}",
+    "halted": lambda agent, it: f"{agent} is halted by {agent_of(it['by'])}" + (it["reason"] and f": {it['reason']}"),
+    "halt_ended": lambda agent, it: f"{agent_of(it['by'])} ended the halt of {agent}",
+    "command_filtered": _filtered,
+    "dock_chosen": lambda agent, it: f"{agent} takes {it['dock']}: its reserve is {it['bids'][agent]:.0f} s",
+    "docked": lambda agent, it: f"{agent} is at {it['dock']}, with {it['level']:.0%} of its battery",
+    "dock_lost": lambda agent, it: f"{agent} asks for another dock: {it['reason']}",
+    "charged": lambda agent, it: f"{agent} is charged, to {it['level']:.0%}",
+    "drive_begun": _drive_begun,
+    "drive_ended": _drive_ended,
     "collision": lambda agent, it: f"collision: {' and '.join(it['names'])}",
 }
 

@@ -27,7 +27,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from pancakes.control import Describe, Follow, Reply, Unfollow
 from pancakes.errors import ControlRefusedError, LocalProtocolError, PancakesError, UnreachableError
-from pancakes.mesh.address import DEFAULT_FLEET, dialled, fleet_in, in_fleet, is_local, reachable_from
+from pancakes.mesh.address import DEFAULT_FLEET, MDNS, dialled, fleet_in, in_fleet, is_local, reachable_from
 from pancakes.mesh.codec import frame
 from pancakes.mesh.link import Link, LinkTimes, Over, SendMessage
 from pancakes.mesh.mesh import Mesh
@@ -42,9 +42,15 @@ from pancakes.util.runtime_dir import entries, why_none
 from pancakes.util.text import fault_of_name, hint_of
 
 if TYPE_CHECKING:
+    from pancakes.mesh.announcements import Announcement
     from pancakes.security.keys import Keys
 
 
+ANNOUNCE_S: Final = 1.5
+"""How long a client waits for announcements after its start, in seconds of the host. It asks within 0.12 s and again
+after a second, and answers come within 0.12 s (RFC 6762)."""
+MOST_ANNOUNCED: Final = 64
+"""A client dials no announced address if it knows this many agents: they know the others."""
 LOOK_S: Final = 0.1
 """How often a wait checks facts that come without an event, such as an agent that says it sleeps."""
 CLOSED: Final = "the client is closed: make a new one"
@@ -55,7 +61,8 @@ class Target:
     """Where to look for agents.
 
     Attributes:
-        addresses: addresses to begin with (`tcp://127.0.0.1:7401`); none: what runs on this machine.
+        addresses: addresses to begin with (`tcp://127.0.0.1:7401`), or `mdns:` for the agents that announce themselves
+            on the networks of this machine; none: what runs on this machine.
         fleet: only agents of this fleet; empty: of any.
     """
 
@@ -85,7 +92,7 @@ class Target:
 
 def _addresses(texts: Sequence[str]) -> tuple[str, ...]:
     try:
-        return tuple(dict.fromkeys(dialled(text) for text in texts))
+        return tuple(dict.fromkeys(text if text == MDNS else dialled(text) for text in texts))
     except ValueError as error:
         raise PancakesError(str(error)) from None
 
@@ -523,6 +530,39 @@ class Candidate:
         return f"{self} did not answer" + (f": {why}" if why else "")
 
 
+class Announced:
+    """The agents that announce themselves by mDNS on the networks of this machine.
+
+    Raises:
+        PancakesError: `zeroconf` is not installed, or the network does not let it.
+    """
+
+    def __init__(self) -> None:
+        from pancakes.mesh.dns_sd import DnsServiceDiscovery, check_installed, own_interfaces  # slow, and rarely used
+
+        check_installed("no agent is found by mDNS")
+        self._clock = MonotonicClock()
+        try:
+            own = own_interfaces()
+            self._discovery = DnsServiceDiscovery(own) if own else None
+        except OSError as error:
+            raise PancakesError(f"no agent is found by mDNS: {error.strerror or error}") from None
+        self._until_s = self._clock.now() + (ANNOUNCE_S if own else 0.0)
+
+    def found(self) -> list[Announcement]:
+        """Return what is announced now."""
+        return self._discovery.found() if self._discovery is not None else []
+
+    def may_find_more(self) -> bool:
+        """Return whether agents that run now may still be missing."""
+        return self._clock.now() < self._until_s
+
+    def close(self) -> None:
+        """End."""
+        if self._discovery is not None:
+            self._discovery.close()
+
+
 AgentKey = tuple[str, str]
 """The fleet and the name of an agent."""
 
@@ -533,8 +573,8 @@ class Session:
     `pancakes.client.Client` is built on it, and so is the web page, which watches a whole fleet from one thread.
 
     Args:
-        at: an address to begin with (`HOST:PORT`, `tcp://HOST:PORT` or `local://NAME`), or several; none: what runs on
-            this machine. A `Target` names a fleet as well.
+        at: an address to begin with (`HOST`, `HOST:PORT` or `local://NAME`, or `mdns:` for the agents that announce
+            themselves), or several; none: what runs on this machine. A `Target` names a fleet as well.
         timeout_s: the time limit of each call.
 
     Attributes:
@@ -558,9 +598,11 @@ class Session:
         self._candidates: list[Candidate] = []
         self._at = where.addresses
         self._fleet = where.fleet
+        self._announced = Announced() if MDNS in self._at else None
         fleet = self._fleet or DEFAULT_FLEET
+        named = [Candidate(in_fleet(address, fleet)) for address in self._at if address != MDNS]
         try:
-            for it in [Candidate(in_fleet(address, fleet)) for address in self._at] or self._running():
+            for it in named if self._at else self._running():
                 self._probe(it)
         except BaseException:
             self.close()
@@ -575,6 +617,8 @@ class Session:
     def close(self) -> None:
         """Leave all fleets; a thread that still waits gets an error."""
         self._news.close()
+        if self._announced is not None:
+            self._announced.close()
         for fleet in self.fleets():
             fleet.close()
         for access in self._accesses.values():
@@ -654,6 +698,7 @@ class Session:
         """
         running = [] if self._at else self._running()
         with self._lock:
+            self._probe_announced()
             known = {(it.fleet, it.name, it.address) for it in self._candidates}
             new = [it for it in running if (it.fleet, it.name, it.address) not in known]
             moved = {(it.fleet, it.name) for it in new}
@@ -795,6 +840,7 @@ class Session:
                 answers[key] = reply
 
         def done() -> bool:
+            may_come = self._probe_announced()
             for fleet in list(self._fleets.values()):
                 for hello in fleet.agents():
                     key = (fleet.fleet, hello.name)
@@ -814,7 +860,7 @@ class Session:
                     failed[key] = answer.reason
                 elif answer is not None and key not in answers:
                     take(key, fleet, answer)
-            return enough(answers) or all(why for _, why in silent())
+            return enough(answers) or (not may_come and all(why for _, why in silent()))
 
         self.wait(until_s, done)
         with self._lock:
@@ -845,6 +891,8 @@ class Session:
         if not self._at:
             return why_none(self._fleet)
         of = f" of the fleet {self._fleet}" if self._fleet else ""
+        if self._at == (MDNS,):
+            return f"no agent{of} announces itself by mDNS on the networks of this machine"
         return f"no agent{of} runs at {', '.join(self._at)}"
 
     # Finding them ----------------------------------------------------------------------------------------------
@@ -853,6 +901,30 @@ class Session:
         """Return the agents of this machine, as candidates."""
         there = [entry for entry in entries() if entry.role != "client" and self._fleet in ("", entry.fleet)]
         return [Candidate(next(iter(entry.listen), ""), entry.fleet, entry.name, local=True) for entry in there]
+
+    def _probe_announced(self) -> bool:
+        """Dial the agents that were announced since; return whether more may come soon.
+
+        An announcement proves nothing. So only agents of a fleet of which this person has keys are dialled: without
+        keys, a program that announces itself could pass for any agent.
+        """
+        if self._announced is None:
+            return False
+        known = {(it.fleet, it.name, it.address) for it in self._candidates}
+        for it in self._announced.found():
+            if self._fleet not in ("", it.fleet) or len(known) >= MOST_ANNOUNCED:
+                continue
+            failed = "" if keys_of_person(it.fleet) is not None else f"you have no keys of the fleet {it.fleet}"
+            for address in it.addresses[:1] if failed else it.addresses:
+                if (it.fleet, it.name, address) in known:
+                    continue
+                known.add((it.fleet, it.name, address))
+                candidate = Candidate(address, it.fleet, it.name, failed)
+                if failed:
+                    self._candidates.append(candidate)
+                else:
+                    self._probe(candidate)
+        return self._announced.may_find_more()
 
     def _probe(self, candidate: Candidate) -> None:
         """Find out which agent is at a candidate's address, and connect to it in its fleet."""

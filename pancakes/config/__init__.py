@@ -11,6 +11,7 @@ from pancakes.config.tables import (
     ClockConfig,
     Config,
     DeviceConfig,
+    FilterConfig,
     ServiceConfig,
     TaskConfig,
 )
@@ -25,6 +26,7 @@ __all__ = [
     "Config",
     "DEFAULT_SERVICES",
     "DeviceConfig",
+    "FilterConfig",
     "SCHEMA",
     "ServiceConfig",
     "TaskConfig",

@@ -8,14 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from math import isfinite
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 from pancakes.config.key_lines import KeyPath, KeyPlaces
 from pancakes.config.tables import Config, DeviceConfig, TaskConfig
 from pancakes.errors import Fault, PluginError
 from pancakes.mesh.address import parse_address
 from pancakes.mesh.sockets import ADVICE, would_be_near_only
-from pancakes.migration import MigrationRule, faults_of_weights
+from pancakes.migration import ALLOCATION, MOST_UNITS, MigrationRule, faults_of_weights
 from pancakes.packet import body_class, field_names, known_types
 from pancakes.settings import check_settings, known_keys
 from pancakes.util.plugins import Plugins, UnknownPluginError, to_install
@@ -37,7 +37,8 @@ def faults_of_rule(rule: MigrationRule, task: str, tasks: Mapping[str, TaskConfi
     """
     if not rule.when:
         yield "when", "is empty: name the type of the packets to watch, such as 'battery'", ""
-    if rule.below is None and rule.above is None:
+    yield from _faults_of_allocated(rule, task)
+    if rule.below is None and rule.above is None and not rule.allocated:
         yield "", "needs a bound: below, above or both", ""
     for name, bound in (("below", rule.below), ("above", rule.above)):
         if bound is not None and not isfinite(bound):
@@ -63,17 +64,41 @@ def faults_of_rule(rule: MigrationRule, task: str, tasks: Mapping[str, TaskConfi
             yield key, f"there is no task {name!r} here", suggestion(name, [it for it in tasks if it != task])
 
 
+_OF_READINGS: Final = ("below", "above", "field", "then", "otherwise")
+_OF_ALLOCATION: Final = ("value", "move_price", "takes_mission_s", "ends_by_mission_s", "after", "together")
+
+
+def _faults_of_allocated(rule: MigrationRule, task: str) -> Iterator[tuple[str, str, str]]:
+    """Yield what is wrong with the keys of a rule that are about the team's allocation, or not for it."""
+    defaults = MigrationRule(rule.when)
+    for name in _OF_READINGS if rule.allocated else _OF_ALLOCATION:
+        if getattr(rule, name) != getattr(defaults, name):
+            for_ = "a rule that watches readings" if rule.allocated else f"when = {ALLOCATION!r}"
+            yield name, f"is only for {for_}, not for when = {rule.when!r}", ""
+    if not 0 < rule.value <= MOST_UNITS:
+        yield "value", f"expected a number > 0 and at most {MOST_UNITS:g}, not {rule.value:g}", ""
+    for name, number in (("move_price", rule.move_price), ("takes_mission_s", rule.takes_mission_s)):
+        if not 0 <= number <= MOST_UNITS:
+            yield name, f"expected a number from 0 to {MOST_UNITS:g}, not {number:g}", ""
+    if rule.ends_by_mission_s is not None and not abs(rule.ends_by_mission_s) <= MOST_UNITS:
+        yield "ends_by_mission_s", f"expected a number of at most {MOST_UNITS:g}, not {rule.ends_by_mission_s:g}", ""
+    for name, others in (("after", rule.after), ("together", rule.together)):
+        if task in others:
+            yield name, "names the task itself", ""
+
+
 DRIVERS = "pancakes.drivers"
 SERVICES = "pancakes.services"
 TASKS = "pancakes.tasks"
 COSTS = "pancakes.costs"
+FILTERS = "pancakes.filters"
 TRANSPORTS = "pancakes.transports"
 
 
 def check_plugins(
     config: Config, plugins: Plugins, must_load: bool = False, missing: set[str] | None = None
 ) -> list[Fault]:
-    """Return all that a configuration gets wrong about drivers, services, tasks, costs and transports.
+    """Return all that a configuration gets wrong about drivers, filters, services, tasks, costs and transports.
 
     Checks that need a plug-in that cannot be imported are skipped.
 
@@ -119,6 +144,7 @@ class _Check:
         config = self._config
         self._check_transports()
         device_types = self._check_devices()
+        self._check_filters()
         self._check_services()
         classes = {
             task.name: self._check_part(TASKS, task.type, task.settings, ("task", task.name), "type")
@@ -249,15 +275,40 @@ class _Check:
                 device_types.append(device_type)
             if found is not None:
                 self._check_rate(table, device.driver, found)
-            hold_key = (*table, "hold_after_s")
-            if found is not None and not issubclass(found, Actuator) and self._places.has(*hold_key):
-                self._fault(hold_key, f"is for actuators, and {device.driver!r} is not one")
-            silent_key = (*table, "silent_s")
+            for key in ("hold_after_mission_s", "drive_stop_s"):
+                if found is not None and not issubclass(found, Actuator) and self._places.has(*table, key):
+                    self._fault((*table, key), f"is for actuators, and {device.driver!r} is not one")
+            silent_key = (*table, "silent_mission_s")
             if found is not None and issubclass(found, Actuator) and self._places.has(*silent_key):
                 self._fault(silent_key, f"is for sensors, and {device.driver!r} is not one")
             elif found is not None:
                 self._check_silence(table, device, found)
         return device_types
+
+    def _check_filters(self) -> None:
+        """Check the filters: each stands before an actuator whose commands it takes."""
+        from pancakes.devices.driver import Actuator
+        from pancakes.filters.chain import SETTING
+
+        for filter_ in self._config.filters.values():
+            table = ("filter", filter_.name)
+            found = self._check_part(FILTERS, filter_.type, filter_.settings, table, "type")
+            device = self._config.devices.get(filter_.device)
+            try:
+                driver = self._plugins.get(DRIVERS, device.driver) if device is not None and device.driver else None
+            except PluginError:
+                continue  # reported with the device
+            if device is None or not isinstance(driver, type):
+                continue
+            if not issubclass(driver, Actuator):
+                text = f"{filter_.device!r} is no actuator: filters are for commands, and {device.driver!r} takes none"
+                self._fault((*table, "device"), text)
+            elif found is not None and found.type not in ("", driver.type):
+                text = f"{filter_.type!r} is for actuators of the type {found.type!r}, and {filter_.device!r} is of"
+                self._fault((*table, "device"), f"{text} the type {driver.type!r}")
+            elif SETTING in known_keys(driver.Settings):
+                text = f"{device.driver!r} has a setting {SETTING!r} of its own, so it can have no filters"
+                self._fault((*table, "device"), f"{text}: a defect of its distribution")
 
     def _check_rate(self, table: KeyPath, driver: str, found: type[Driver]) -> None:
         """Check that a sensor that needs a rate has one, and that no other device has one."""
@@ -275,13 +326,13 @@ class _Check:
 
     def _check_silence(self, table: KeyPath, device: DeviceConfig, found: type[Driver]) -> None:
         """Check that a sensor does not count as silent before its next reading can come."""
-        given = device.silent_s is not None
-        silent_s = device.silent_s if given else getattr(found, "silent_s", None)
+        given = device.silent_mission_s is not None
+        silent_s = device.silent_mission_s if given else getattr(found, "silent_s", None)
         if device.rate_hz and silent_s is not None and silent_s <= 1 / device.rate_hz:
             apart = f"{1 / device.rate_hz:g} s, the time between two readings at `rate_hz = {device.rate_hz:g}`"
             text = f"must be longer than {apart}"
             default = "" if given else f"; {device.driver!r} has {silent_s:g} s unless it is given"
-            self._fault((*table, "silent_s"), text + default)
+            self._fault((*table, "silent_mission_s"), text + default)
 
     def _check_requires(self, task: TaskConfig, cls: Any | None, device_types: list[str] | None) -> None:
         if cls is None or device_types is None:
@@ -301,7 +352,7 @@ class _Check:
         else:
             for name in rule.cost:
                 self._get(COSTS, name, (*table, "cost", name))
-        if not rule.when or self._broken:
+        if rule.allocated or not rule.when or self._broken:
             return  # a module that could not be imported may define this type
         body = body_class(rule.when)
         if body is None:
@@ -321,10 +372,11 @@ def _is_class_of(group: str, found: Any) -> bool:
 
 def _base_of(group: str) -> type:
     from pancakes.devices.driver import Driver  # late: only reading a file needs no kernel
+    from pancakes.filters.filter import Filter
     from pancakes.service import Service
     from pancakes.task import Task
 
-    return {DRIVERS: Driver, SERVICES: Service, TASKS: Task}[group]
+    return {DRIVERS: Driver, FILTERS: Filter, SERVICES: Service, TASKS: Task}[group]
 
 
 def _shown(found: Any) -> str:
@@ -345,8 +397,19 @@ def doubts_of(config: Config) -> list[Fault]:
     Names of hosts are looked up, which may take some seconds.
     """
     places = config.places
+    tells = any(task.type == "energy.reserve" for task in config.tasks.values())
+    no_reserve = (
+        "no task of the type 'energy.reserve' is here, so this rule does nothing unless a task of yours tells one"
+    )
     return [
-        places.fault(("agent", "listen"), f"{why}. {ADVICE.capitalize()}")
-        for address in config.agent.listen
-        if (why := would_be_near_only(address))
+        *(
+            places.fault(("agent", "listen"), f"{why}. {ADVICE.capitalize()}")
+            for address in config.agent.listen
+            if (why := would_be_near_only(address))
+        ),
+        *(
+            places.fault(("task", task.name, "migrate", "when"), no_reserve)
+            for task in config.tasks.values()
+            if task.migrate and task.migrate.when == "reserve" and not tells
+        ),
     ]

@@ -9,7 +9,8 @@ import msgspec
 from msgspec.structs import asdict
 
 from pancakes.config.tables import SCHEMA, AccessConfig, Config, DeviceConfig
-from pancakes.durable.record import Phase, Record, Wanted
+from pancakes.durable.record import Record
+from pancakes.durable.register import Wanted
 from pancakes.durable.snapshot import Snapshot
 from pancakes.errors import MigrationError, PluginError
 from pancakes.settings import SettingsError, make_settings, plain_settings
@@ -28,7 +29,7 @@ def created_tables(agent: str, records: Iterable[Record]) -> dict[str, dict[str,
     """
     tables: dict[str, dict[str, Any]] = {}
     for record in sorted(records, key=lambda it: it.task_id):
-        here = record.phase in (Phase.OWNER, Phase.FROZEN) and record.task_id.birthplace == agent
+        here = record.owned and record.task_id.birthplace == agent
         if here and record.snapshot:
             try:
                 snapshot = Snapshot.decode(record.snapshot)
@@ -43,7 +44,6 @@ def table_of(snapshot: Snapshot, start: bool) -> dict[str, Any]:
 
     It has the present settings and the present rate. A key without a value is None.
     """
-    guard: Mapping[str, Any] = snapshot.guard or {"guard": 0}
     return {
         "type": snapshot.type,
         "service": snapshot.service,
@@ -53,7 +53,7 @@ def table_of(snapshot: Snapshot, start: bool) -> dict[str, Any]:
         "restart": dict(snapshot.restart),
         "durability": snapshot.durability,
         "migrate": snapshot.migrate,
-        **guard,
+        "guard": snapshot.guard,
     }
 
 
@@ -90,6 +90,7 @@ def effective(config: Config, plugins: Plugins) -> dict[str, Any]:
             name: _device(device, _part(device, "pancakes.drivers", device.driver, plugins), plugins)
             for name, device in config.devices.items()
         },
+        **({"filter": _filters(config, plugins)} if config.filters else {}),
         "service": {
             name: _part(service, "pancakes.services", service.type, plugins)
             for name, service in config.services.items()
@@ -110,6 +111,10 @@ def _part(part: Any, group: str, type_name: str, plugins: Plugins) -> dict[str, 
     return plain
 
 
+def _filters(config: Config, plugins: Plugins) -> dict[str, Any]:
+    return {name: _part(filter_, "pancakes.filters", filter_.type, plugins) for name, filter_ in config.filters.items()}
+
+
 def _device(device: DeviceConfig, plain: dict[str, Any], plugins: Plugins) -> dict[str, Any]:
     from pancakes.devices.driver import Actuator
 
@@ -118,7 +123,8 @@ def _device(device: DeviceConfig, plain: dict[str, Any], plugins: Plugins) -> di
     except PluginError:
         return plain
     if not issubclass(driver, Actuator):
-        del plain["hold_after_s"]  # it is only for actuators, and not allowed for others
+        for key in ("hold_after_mission_s", "drive_stop_s"):  # they are only for actuators, and not allowed for others
+            del plain[key]
     return plain
 
 

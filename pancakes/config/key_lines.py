@@ -124,12 +124,44 @@ class _Lines:
             self._line += value.as_string().count("\n")
 
 
-NAMED_TABLES: Final = ("channel", "device", "service", "task")
+NAMED_TABLES: Final = ("channel", "device", "filter", "service", "task")
 """The tables whose keys are names: `[task.ScanTarget]`."""
+
+
+class _File:
+    """One of the files that a configuration is made of.
+
+    Args:
+        path: the file, as messages name it.
+        text: its text, in which lines are counted once one is asked for.
+        values: its own plain values.
+    """
+
+    def __init__(self, path: str, text: str, values: Mapping[str, Any]) -> None:
+        self.path = path
+        self._text = text
+        self._values = values
+
+    @cached_property
+    def lines(self) -> dict[KeyPath, int]:
+        return lines_of_keys(self._text)
+
+    def hides(self, key: KeyPath) -> bool:
+        """Return whether a value of this file replaces everything that files below it have at a key."""
+        value: Any = self._values
+        for part in key:
+            if not isinstance(value, dict):
+                return True
+            if part not in value:
+                return False
+            value = value[part]
+        return not isinstance(value, dict)
 
 
 class KeyPlaces:
     """Find the place of each key: `agent1.toml:12` or `--set agent.name=x`.
+
+    The place of a value with variables in it names their places too: `agent1.toml:12 (gateway: common.toml:3)`.
 
     Args:
         path: the file, as messages name it.
@@ -140,15 +172,28 @@ class KeyPlaces:
 
     def __init__(self, path: str, text: str, values: Mapping[str, Any], named: Sequence[str] = NAMED_TABLES) -> None:
         self._path = path
-        self._text = text
         self._values = values
         self._named = named
+        self._files = [_File(path, text, values)]
         self._overridden: list[KeyPath] = []
         self._sets: dict[KeyPath, str] = {}
+        self._variables: dict[KeyPath, tuple[str, ...]] = {}
 
-    @cached_property
-    def _lines(self) -> dict[KeyPath, int]:
-        return lines_of_keys(self._text)
+    def above(self, base: KeyPlaces, values: Mapping[str, Any]) -> KeyPlaces:
+        """Return the places of keys if this file extends a `base`.
+
+        Args:
+            base: the places of keys of the file that this one extends.
+            values: the values of both, which overrides may change.
+        """
+        places = KeyPlaces(self._path, "", values, self._named)
+        places._files = [*self._files, *base._files]
+        return places
+
+    @property
+    def files(self) -> list[str]:
+        """The files that the keys are in, as messages name them: the file itself, the one it extends, and so on."""
+        return [file.path for file in self._files]
 
     def override(self, key: KeyPath, text: str, value: Any) -> None:
         """Note that `--set text` is about to set this key; everything below the key in the file is replaced."""
@@ -161,16 +206,50 @@ class KeyPlaces:
         self._sets[key] = text
         self._sets.update((inside, text) for inside in _paths(value, key))
 
+    def note_variables(self, key: KeyPath, names: Sequence[str]) -> None:
+        """Note the variables that the value of a key has in it."""
+        self._variables[key] = tuple(names)
+
     def where(self, *key: str | int) -> str:
         """Return the place of a key; if it is missing, of the innermost table around it."""
+        inner, place = self._place(key)
+        names = self._names_in(inner)
+        said = ", ".join(f"{name}: {self._place(('vars', name))[1]}" for name in names)
+        return f"{place} ({said})" if said else place
+
+    def file(self, *key: str | int) -> str:
+        """Return the file that has a key, or the innermost table around it; the file itself if a `--set` has it."""
+        _, place = self._place(key)
+        path = place.rpartition(":")[0]
+        return path if path in self.files else self._path
+
+    def _place(self, key: KeyPath) -> tuple[KeyPath, str]:
+        """Return the innermost part of a key that is somewhere, and its place."""
         outermost = 2 if len(key) > 1 and key[0] in self._named else 1  # another [task.NAME] is not its place
         for length in range(len(key), outermost - 1, -1):
             inner = key[:length]
             if inner in self._sets:
-                return set_text(self._sets[inner])
-            if inner in self._lines and not any(inner[: len(it)] == it for it in self._overridden):
-                return f"{self._path}:{self._lines[inner]}"
-        return self._path
+                return inner, set_text(self._sets[inner])
+            if any(inner[: len(it)] == it for it in self._overridden):
+                continue
+            for file in self._files:
+                if inner in file.lines:
+                    return inner, f"{file.path}:{file.lines[inner]}"
+                if file.hides(inner):
+                    break
+        return (), self._path
+
+    def _names_in(self, key: KeyPath) -> list[str]:
+        """Return the variables in the value at a key, if it is no table."""
+        value: Any = self._values
+        for part in key:
+            try:
+                value = value[part]
+            except (LookupError, TypeError):
+                break
+        within = () if isinstance(value, dict) else (it for it in self._variables if it[: len(key)] == key)
+        found = [name for it in (key, *within) for name in self._variables.get(it, ())]
+        return list(dict.fromkeys(found)) if key else []
 
     def has(self, *key: str | int) -> bool:
         """Return whether the file or a `--set` has exactly this key."""
@@ -191,15 +270,17 @@ class KeyPlaces:
         return Fault(self.where(*key), key_text(key, self._named), problem, suggestion)
 
     def in_order(self, faults: list[Fault]) -> list[Fault]:
-        """Return faults in the order of the file, those of `--set` last; faults at one place keep their order."""
+        """Return faults in the order of the files, those of `--set` last; faults at one place keep their order."""
+        files = {path: number for number, path in enumerate(self.files)}
 
-        def line(fault: Fault) -> float:
-            number = fault.where.removeprefix(f"{self._path}:")
-            if fault.where == self._path:
-                return 0
-            return int(number) if number.isdecimal() else float("inf")
+        def order(fault: Fault) -> tuple[int, int]:
+            place = fault.where.partition(" (")[0]
+            path, _, line = place.rpartition(":")
+            if place in files:
+                return files[place], 0
+            return (files[path], int(line)) if path in files and line.isdecimal() else (len(files), 0)
 
-        return sorted(faults, key=line)
+        return sorted(faults, key=order)
 
 
 def set_text(text: str) -> str:

@@ -19,13 +19,16 @@ from pancakes.config.tables import (
     ClockConfig,
     Config,
     DeviceConfig,
+    FilterConfig,
     RecordConfig,
     ServiceConfig,
     TaskConfig,
 )
-from pancakes.config.toml_reader import apply_set, fault_of_schema, read_tables, text_of
+from pancakes.config.toml_reader import fault_of_schema, read_values, text_of
+from pancakes.devices.health import MissRule
 from pancakes.errors import ConfigError, Fault
 from pancakes.mesh.address import fault_of_interface, in_fleet, parse_address
+from pancakes.migration import GuardRule, MigrationRule
 from pancakes.packet import CORE_CHANNELS
 from pancakes.settings import check_settings, dotted, known_keys, required_keys
 from pancakes.supervision.restart import RestartSpec, fault_of_pauses
@@ -34,6 +37,20 @@ from pancakes.util.plugins import Plugins
 from pancakes.util.text import fault_of_name, nearest_name, suggestion
 
 _T = TypeVar("_T")
+
+_INNER: Final = {"guard": GuardRule, "migrate": MigrationRule, "missed": MissRule, "restart": RestartSpec}
+"""The keys that are tables themselves."""
+
+
+_SHORT: Final = {("guard",): "guard = { copies = 3 }", ("restart",): 'restart = { policy = "always" }'}
+"""What to write in the place of a value that is no table."""
+
+
+def _table_with(key: str | int, keys: Sequence[str]) -> str:
+    """Return which of the keys is a table that has this key; empty: none, or several."""
+    tables = [name for name, cls in _INNER.items() if name in keys and key in known_keys(cls)]
+    return tables[0] if len(tables) == 1 else ""
+
 
 _TABLES: Final = ("agent", "access", "clock", "record", *NAMED_TABLES)
 
@@ -86,12 +103,11 @@ def parse(
     Raises:
         ConfigError: the text is not valid; it carries every fault.
     """
-    tables = read_tables(text, where)
+    tables = read_values(text, where, sets)
     values, places, _ = tables
-    faults = [fault for item in sets if (fault := apply_set(item, values, places))]
     reader = _ConfigReader(values, places)
     config = reader.config()
-    faults += reader.faults
+    faults = reader.faults
     if plugins is not None:
         faults += check_plugins(config, plugins, must_load, missing)
     faults = tables.with_faults(faults)
@@ -146,6 +162,7 @@ class _ConfigReader:
             record=self._single("record", RecordConfig) if "record" in self._values else None,
             channels=self._tables("channel", ChannelConfig),
             devices=self._tables("device", DeviceConfig),
+            filters=self._tables("filter", FilterConfig),
             services=services,
             tasks=self._tables("task", TaskConfig),
             path=self._places.where(),
@@ -160,6 +177,8 @@ class _ConfigReader:
                 self._fault(("channel", name), f"the channel {name!r} is a core one and always there")
         for device in config.devices.values():
             self._check_service(("device", device.name, "service"), device.service, config)
+        for filter_ in config.filters.values():
+            self._check_filter(filter_, config)
         for task in config.tasks.values():
             self._check_task(task, config)
         return config
@@ -226,8 +245,12 @@ class _ConfigReader:
         bad = set()
         for problem in check_settings(cls, values):
             text, near = problem.text, problem.suggestion
-            if text == "unknown key" and len(problem.path) == 1 and not near and "settings" in own:
+            if text == "unknown key" and len(problem.path) == 1 and (table := _table_with(problem.path[0], own)):
+                text, near = f"unknown key; it belongs in the table `{table}`", f"{table}.{problem.path[0]}"
+            elif text == "unknown key" and len(problem.path) == 1 and not near and "settings" in own:
                 text = f"unknown key; the {key[0]}'s own settings belong in its key `settings`"
+            if problem.path in _SHORT and not isinstance(values[str(problem.path[0])], dict):
+                text += f": write {_SHORT[problem.path]}"
             if text == "is missing" and len(key) == 2 and self._places.is_set(*key):
                 near = self._other_name(str(key[0]), str(key[1]))
             bad.add(problem.path[0] if problem.path else "")
@@ -302,6 +325,14 @@ class _ConfigReader:
         if service not in config.services:
             self._fault(key, f"there is no service {service!r}", suggestion(service, config.services))
 
+    def _check_filter(self, filter_: FilterConfig, config: Config) -> None:
+        key = ("filter", filter_.name)
+        if not filter_.name.isidentifier():  # it is a key of the device's settings: filters.NAME.KEY
+            self._fault(key, f"{filter_.name!r} is no name for a filter: use letters, digits and _, no digit first")
+        if filter_.device and filter_.device not in config.devices:
+            near = suggestion(filter_.device, config.devices)
+            self._fault((*key, "device"), f"there is no device {filter_.device!r} here", near)
+
     def _check_task(self, task: TaskConfig, config: Config) -> None:
         key = ("task", task.name)
         self._check_service((*key, "service"), task.service, config)
@@ -313,20 +344,20 @@ class _ConfigReader:
             for name, problem, near in faults_of_rule(task.migrate, task.name, config.tasks):
                 path = name.split(".", 1) if name else ()
                 self._fault((*key, "migrate", *path), problem, near)
+            if task.migrate.allocated and config.services["network"].settings.get("allocation") is None:
+                hint = "write `settings = { allocation = { at_most = 3 } }` under [service.network]"
+                self._fault((*key, "migrate", "when"), f"this agent takes no part in the allocation: {hint}")
 
     def _check_guard(self, task: TaskConfig, config: Config) -> None:
-        key = ("task", task.name)
-        if not task.guard:
-            usual = TaskConfig(task.name, task.type)
-            for name in ("lease_s", "checkpoint_s", "guardians", "takeover"):
-                if getattr(task, name) != getattr(usual, name):
-                    self._fault((*key, name), "is for guarded tasks: set `guard = 3` too")
+        key = ("task", task.name, "guard")
+        rule = task.guard
+        if rule is None:
             return
         if task.service in ("device", "network", "log"):
-            self._fault((*key, "guard"), f"is for tasks that can migrate, not for the service {task.service}")
-        others = [name for name in task.guardians if name != config.agent.name]
-        if len(others) != len(set(task.guardians)) or len(others) != len(task.guardians):
+            self._fault(key, f"is for tasks that can migrate, not for the service {task.service}")
+        others = [name for name in rule.guardians if name != config.agent.name]
+        if len(others) != len(set(rule.guardians)) or len(others) != len(rule.guardians):
             self._fault((*key, "guardians"), "expected the names of other agents, each once")
-        elif len(others) >= task.guard:
-            text = f"names {len(others)} agents, but besides this one there are {task.guard - 1} guardians"
+        elif len(others) >= rule.copies:
+            text = f"names {len(others)} agents, but besides this one there are {rule.copies - 1} guardians"
             self._fault((*key, "guardians"), text)

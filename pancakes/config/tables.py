@@ -1,7 +1,8 @@
 """The tables of a configuration file as frozen structures: `[agent]`, `[task.NAME]` and so on.
 
 `settings` stay plain mappings here; their class checks them (`pancakes.config.check_plugins`).
-Rates are per second of mission time. The docstrings appear in the generated reference.
+A key that ends in `_s` counts seconds of the host, one that ends in `_mission_s` seconds of the mission, and a rate
+in Hz is per second of the mission. The docstrings appear in the generated reference.
 """
 
 from __future__ import annotations
@@ -13,11 +14,11 @@ from msgspec import Meta, Struct, field
 
 from pancakes.config.key_lines import KeyPlaces
 from pancakes.devices.health import MissRule
-from pancakes.durable.ownership import DEFAULT_WAIT_S
+from pancakes.durable.register_messages import DEFAULT_WAIT_S
 from pancakes.kernel.handlers import MOST_HZ
 from pancakes.mesh.address import DEFAULT_FLEET, is_local, local_address
 from pancakes.mesh.messages import MOST_LISTEN
-from pancakes.migration import LONGEST_LEASE_S, SHORTEST_LEASE_S, GuardRule, MigrationRule
+from pancakes.migration import GuardRule, MigrationRule
 from pancakes.recording.settings import RecordingSettings
 from pancakes.security.roster import AccessRule, Right
 from pancakes.settings import FilePath
@@ -41,13 +42,15 @@ class AgentConfig(Struct, frozen=True):
 
     Attributes:
         name: the agent's name on the mesh; the first part of all addresses in it.
-        listen: the addresses where other agents may connect, such as `tcp://127.0.0.1:7401` (port 0 takes a free
-            one); a single one need not be a list. On its own machine it can always be reached, at `local://NAME`, or
-            `local://FLEET/NAME` if its fleet is not `default`.
+        listen: the addresses where other agents may connect, such as `tcp://0.0.0.0` (without a port it is 7401; port 0
+            takes a free one); a single one need not be a list. On its own machine it can always be reached, at
+            `local://NAME`, or `local://FLEET/NAME` if its fleet is not `default`.
         local_group: members of this Unix group may connect too, for an agent that runs as a system service; empty: only
             the agent's own user.
-        peers: the addresses of agents to connect to, such as `tcp://192.168.1.20:7401`, or `local://NAME` on its own
+        peers: the addresses of agents to connect to, such as `tcp://192.168.1.20`, or `local://NAME` on its own
             machine. Its own among them is skipped, so that a fleet can share one list.
+        mdns: whether it announces its name, fleet, port and version by multicast DNS, and dials the agents of its fleet
+            that do so. It needs keys, which decide who gets a link.
         links: how many links to agents it keeps; it links to others while there is something to send. For a fleet of
             hundreds. A task that migrates asks only linked agents, or the one that it is sent to. Without it, the agent
             keeps a link to every other one.
@@ -68,6 +71,7 @@ class AgentConfig(Struct, frozen=True):
     listen: Annotated[tuple[str, ...], Meta(max_length=MOST_LISTEN - 1)] = ()
     local_group: str = ""
     peers: tuple[str, ...] = ()
+    mdns: bool = False
     links: Annotated[int, Meta(ge=2, le=200)] | None = None
     role: Literal["agent", "environment", "client"] = "agent"
     fleet: str = DEFAULT_FLEET
@@ -141,9 +145,11 @@ class DeviceConfig(Struct, frozen=True):
             when it has a reading.
         settings: plain values for the driver's `Settings`.
         restart: what the device service does when it fails.
-        hold_after_s: an actuator goes to its safe hold when no command came for this time, in mission seconds.
+        hold_after_mission_s: an actuator goes to its safe hold when no command came for this time, in mission seconds.
+        drive_stop_s: while a person drives an actuator by hand, it stops after this time without a command of that
+            person, in seconds of host time.
         missed: how many failed readings, or commands of an actuator, make the device fail.
-        silent_s: a sensor without a reading for this time, in mission seconds, is reported as silent, and its
+        silent_mission_s: a sensor without a reading for this time, in mission seconds, is reported as silent, and its
             connection is dialled again if it has one; None: the driver's own value.
     """
 
@@ -153,9 +159,26 @@ class DeviceConfig(Struct, frozen=True):
     rate_hz: Rate | None = None
     settings: Mapping[str, Any] = {}
     restart: DeviceRestartSpec = field(default_factory=DeviceRestartSpec)
-    hold_after_s: Positive = 0.5
+    hold_after_mission_s: Positive = 0.5
+    drive_stop_s: Annotated[float, Meta(ge=0.2, le=4)] = 0.5
     missed: MissRule = field(default_factory=MissRule)
-    silent_s: Positive | None = None
+    silent_mission_s: Positive | None = None
+
+
+class FilterConfig(Struct, frozen=True):
+    """A table `[filter.NAME]`: each command to an actuator passes its filters, in the order of the file.
+
+    Attributes:
+        name: the filter's name on this agent.
+        type: the name of its class, such as `barrier`.
+        device: the actuator, the NAME of its `[device.NAME]`.
+        settings: plain values for the filter's `Settings`.
+    """
+
+    name: str
+    type: str
+    device: str
+    settings: Mapping[str, Any] = {}
 
 
 class ServiceConfig(Struct, frozen=True):
@@ -187,13 +210,7 @@ class TaskConfig(Struct, frozen=True):
         restart: what its service does when it fails.
         durability: `each` writes the task's state before each acknowledgement, `lazy` from time to time.
         migrate: when it migrates by itself; None: never.
-        guard: how many agents, including this one, guard it: if its agent is lost, they make another one run it from
-            its last checkpoint. 0: none. See docs/guarded-tasks.md, also for the next four.
-        lease_s: how long after the loss of most guardians it is paused, in host seconds; another agent runs it a little
-            later.
-        checkpoint_s: how often its state is written to disk if it has changed, in host seconds.
-        guardians: agents that become its guardians before others.
-        takeover: `ask`: another agent runs it only after `pancakes task take`.
+        guard: how it outlives its agent; None: not at all. See docs/guarded-tasks.md.
     """
 
     name: str
@@ -205,18 +222,7 @@ class TaskConfig(Struct, frozen=True):
     restart: RestartSpec = field(default_factory=RestartSpec)
     durability: Literal["lazy", "each"] = "lazy"
     migrate: MigrationRule | None = None
-    guard: Literal[0, 3, 5] = 0
-    lease_s: Annotated[float, Meta(ge=SHORTEST_LEASE_S, le=LONGEST_LEASE_S)] = 5.0
-    checkpoint_s: Annotated[float, Meta(ge=0.05, le=3600.0)] = 1.0
-    guardians: Annotated[tuple[str, ...], Meta(max_length=4)] = ()
-    takeover: Literal["auto", "ask"] = "auto"
-
-    @property
-    def guard_rule(self) -> GuardRule | None:
-        """How it is guarded; None: not at all."""
-        if not self.guard:
-            return None
-        return GuardRule(self.guard, self.lease_s, self.checkpoint_s, self.guardians, self.takeover)
+    guard: GuardRule | None = None
 
 
 class Config(Struct, frozen=True):
@@ -227,8 +233,9 @@ class Config(Struct, frozen=True):
         access: the table `[access]`.
         clock: the table `[clock]`.
         record: the table `[record]`; None if there is none.
-        channels: extra channels by name, in the order of the file (so are the next three).
+        channels: extra channels by name, in the order of the file (so are the next four).
         devices: devices by name.
+        filters: filters of actuators by name.
         services: services by name; the four default ones are always there and come first.
         tasks: tasks by name.
         path: where it was read from, for messages.
@@ -241,6 +248,7 @@ class Config(Struct, frozen=True):
     record: RecordConfig | None
     channels: Mapping[str, ChannelConfig]
     devices: Mapping[str, DeviceConfig]
+    filters: Mapping[str, FilterConfig]
     services: Mapping[str, ServiceConfig]
     tasks: Mapping[str, TaskConfig]
     path: str

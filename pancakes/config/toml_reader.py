@@ -1,10 +1,13 @@
-"""Read a TOML file, with `--set` overrides, as plain values with their places, or report all faulty lines.
+"""Read a TOML file as plain values with their places, or report all faulty lines.
+
+`read_values` includes the files that it extends, `--set` overrides, and the values of its variables.
 
 A line that cannot be read is a fault, and the rest is still read.
 """
 
 from __future__ import annotations
 
+import os
 import re
 import tomllib
 from codecs import BOM_UTF8
@@ -14,10 +17,12 @@ from typing import Any, Final, NamedTuple
 
 from pancakes.config.key_lines import NAMED_TABLES, KeyPlaces, key_text, lines_of_keys, split_pair
 from pancakes.config.tables import SCHEMA
+from pancakes.config.variables import replace_variables
 from pancakes.errors import ConfigError, Fault
 from pancakes.settings import dotted
+from pancakes.util.files import NoPathError, at_home
 from pancakes.util.text import suggestion, written_for
-from pancakes.util.toml import TomlBoundsError, toml_values
+from pancakes.util.toml import MOST_CHARACTERS, TomlBoundsError, toml_values
 
 EXAMPLE = "write it as table.key=value, such as clock.speed=5"
 
@@ -40,6 +45,8 @@ def apply_set(text: str, values: dict[str, Any], places: KeyPlaces) -> Fault | N
     if change is None:
         return Fault(f"--set {text}", "--set", f"is not an override: {EXAMPLE}")
     key, value = change
+    if key == ("extends",):
+        return Fault(f"--set {text}", "extends", "stands only in a file: --set changes single values of it")
     table = values
     for depth, part in enumerate(key[:-1], start=1):
         table = table.get(part, {})
@@ -90,7 +97,9 @@ class Tables(NamedTuple):
     def with_faults(self, found: Sequence[Fault]) -> list[Fault]:
         """Return these faults and those found in the values, without those that only follow from these."""
         broken = {fault.where for fault in self.faults}
-        return self.faults + [fault for fault in found if fault.where not in broken]
+        marks = [f": {where}{end}" for where in broken for end in ",)"]  # in the place of a variable
+        sound = [it for it in found if it.where not in broken and not any(mark in it.where for mark in marks)]
+        return self.faults + sound
 
 
 def tables_of(text: str, where: str, named: Sequence[str] = NAMED_TABLES) -> tuple[dict[str, Any], KeyPlaces]:
@@ -145,6 +154,123 @@ def read_tables(text: str, where: str, named: Sequence[str] = NAMED_TABLES) -> T
     return Tables(values, KeyPlaces(where, mended, values, named), faults)
 
 
+MOST_FILES: Final = 16
+"""At most this many files extend one another."""
+
+
+def read_layers(text: str, where: str, named: Sequence[str] = NAMED_TABLES) -> Tables:
+    """Read TOML with the file that it `extends`, and the one which that extends; see `read_tables`.
+
+    Tables are merged, at any depth. Any other value of a file replaces that of the file which it extends.
+
+    Raises:
+        ConfigError: the rest depends on what cannot be read; it carries the faults up to there.
+    """
+    tables = read_tables(text, where, named)
+    layers, seen = [tables], [os.path.realpath(where)]
+    path, faults = where, list(tables.faults)
+    while "extends" in layers[-1].values:
+        base, place = layers[-1].values["extends"], layers[-1].places.where("extends")
+        try:
+            path = _path_of_base(base, path, seen)
+            layers.append(read_tables(_text_of_base(path), path, named))
+        except _BaseError as error:
+            raise ConfigError([*faults, Fault(place, "extends", str(error), error.near)]) from None
+        except ConfigError as error:
+            raise ConfigError([*faults, *error.faults]) from None
+        seen.append(os.path.realpath(path))
+        faults += layers[-1].faults
+        if fault := fault_of_schema(layers[-1].values):
+            faults.append(layers[-1].places.fault(("schema",), fault))
+    values, places = layers[-1].values, layers[-1].places
+    for layer in reversed(layers[:-1]):
+        values = _merged(values, layer.values)
+        places = layer.places.above(places, values)
+    if len(layers) > 1:
+        del values["extends"]
+    return Tables(values, places, faults)
+
+
+class _BaseError(Exception):
+    """A file cannot be extended. `near` is the file that was probably meant."""
+
+    def __init__(self, text: str, near: str = "") -> None:
+        super().__init__(text)
+        self.near = near
+
+
+def _path_of_base(base: Any, path: str, seen: Sequence[str]) -> str:
+    """Return the path of the file that another one extends."""
+    if not isinstance(base, str) or not base:
+        raise _BaseError(f"expected the path of a file, such as 'common.toml', not {base!r}")
+    try:
+        found = os.path.join(os.path.dirname(path), at_home(base))
+    except NoPathError as error:
+        raise _BaseError(str(error)) from None
+    whole = os.path.realpath(found)
+    if whole in seen:
+        names = [os.path.basename(it) for it in (*seen[seen.index(whole) :], whole)]
+        raise _BaseError("the files extend one another in a circle: " + " → ".join(names))
+    if len(seen) >= MOST_FILES:
+        raise _BaseError(f"more than {MOST_FILES} files extend one another")
+    return found
+
+
+def _text_of_base(path: str) -> str:
+    if os.path.exists(path) and not os.path.isfile(path) and not os.path.isdir(path):
+        raise _BaseError(f"{path}: is not a regular file")  # a named pipe may never have an end
+    try:
+        return text_of(path)
+    except ConfigError as error:
+        (fault,) = error.faults
+        raise _BaseError(f"{path}: {fault.problem}", fault.suggestion) from None
+
+
+def _merged(base: Mapping[str, Any], own: Mapping[str, Any]) -> dict[str, Any]:
+    values = dict(base)
+    for key, value in own.items():
+        below = values.get(key)
+        values[key] = _merged(below, value) if isinstance(below, dict) and isinstance(value, dict) else value
+    return values
+
+
+def read_values(text: str, where: str, sets: Sequence[str] = (), named: Sequence[str] = NAMED_TABLES) -> Tables:
+    """Read TOML as it counts: with the files that it extends, overrides, and the values of variables.
+
+    Args:
+        text: the TOML text.
+        where: its name in messages; the files that it extends are beside it.
+        sets: overrides, each as `table.key=value`.
+        named: the tables whose keys are names.
+
+    Raises:
+        ConfigError: the rest depends on what cannot be read; it carries the faults up to there.
+    """
+    tables = read_layers(text, where, named)
+    faults = [fault for item in sets if (fault := apply_set(item, tables.values, tables.places))]
+    return tables._replace(faults=[*tables.faults, *faults, *replace_variables(tables.values, tables.places)])
+
+
+def self_contained(path: str, sets: Sequence[str] = ()) -> str:
+    """Return the text of a file that needs no other one: with what it extends, and with overrides.
+
+    Variables stay variables. A file that extends none and has no overrides stays as it is, with its comments.
+
+    Raises:
+        ConfigError: a file cannot be read; it carries each fault.
+    """
+    text = text_of(path)
+    tables = read_layers(text, path)
+    if not sets and tables.places.files == [path]:
+        return text
+    faults = [fault for item in sets if (fault := apply_set(item, tables.values, tables.places))]
+    if tables.faults or faults:
+        raise ConfigError([*tables.faults, *faults])
+    from pancakes.config.toml_writer import document_text
+
+    return document_text(tables.values)
+
+
 class _Broken(NamedTuple):
     """A line that cannot be read.
 
@@ -161,6 +287,10 @@ class _Broken(NamedTuple):
     is_value: bool = False
 
 
+_MOST_BYTES: Final = 4 * MOST_CHARACTERS
+"""The largest file, in bytes."""
+
+
 def text_of(path: str) -> str:
     """Return the text of a file.
 
@@ -168,7 +298,8 @@ def text_of(path: str) -> str:
         ConfigError: it does not exist, or cannot be read.
     """
     try:
-        data = Path(path).read_bytes().removeprefix(BOM_UTF8)  # some editors write it, and TOML does not allow it
+        with Path(path).open("rb") as file:
+            data = file.read(_MOST_BYTES + 1)
     except FileNotFoundError:
         raise ConfigError([Fault(path, "file", "there is no such file", _neighbour(path))]) from None
     except IsADirectoryError:
@@ -176,6 +307,9 @@ def text_of(path: str) -> str:
     except (OSError, ValueError) as error:
         reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
         raise ConfigError([Fault(path, "file", f"cannot be read: {reason.lower()}")]) from None
+    if len(data) > _MOST_BYTES:  # it may be endless, such as /dev/zero
+        raise ConfigError([Fault(path, "file", f"has more than {_MOST_BYTES:,} bytes")])
+    data = data.removeprefix(BOM_UTF8)  # some editors write it, and TOML does not allow it
     try:
         return data.decode()
     except UnicodeDecodeError as error:

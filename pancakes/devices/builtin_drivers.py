@@ -20,7 +20,7 @@ from typing import Annotated, Any, Final
 import msgspec
 
 from pancakes.control import Hold
-from pancakes.devices import Battery, Load, Memory, Pose, Temperature
+from pancakes.devices import Battery, Dock, Load, Memory, Pose, Temperature
 from pancakes.devices.driver import Actuator, DeviceContext, Pace, Sensor
 from pancakes.devices.validation import level_of
 from pancakes.errors import PancakesError
@@ -110,7 +110,7 @@ class HostBattery(Sensor):
         share = _battery_share()
         if share is None:
             raise PancakesError("the operating system tells of no battery any more")
-        return Battery(_battery_voltage_v(), share)
+        return Battery(_battery_voltage_v(), share, _battery_charges())
 
 
 def _temperatures() -> dict[str, list[float]]:
@@ -138,6 +138,17 @@ def _battery_share() -> float | None:
     percent = battery.percent
     # Linux reckons with the charge that was full last, so a little more may be left: it is full then.
     return 1.0 if 100.0 < percent <= MOST_PERCENT else level_of(percent, 100.0)
+
+
+def _battery_charges() -> bool:
+    """Return whether the system tells that a battery is being charged; a full one on mains is not."""
+    for path in sorted(POWER_SUPPLIES.glob("BAT*/status")):
+        try:
+            if path.read_text().strip() == "Charging":
+                return True
+        except OSError:
+            continue
+    return False
 
 
 def _battery_voltage_v() -> float:
@@ -239,11 +250,47 @@ class NetworkTemperature(NetworkSensor):
     type = "temperature"
 
 
+class NetworkEncoders(NetworkSensor):
+    """Wheel encoders of another agent (`network.encoders`)."""
+
+    type = "encoders"
+
+
+class NetworkImu(NetworkSensor):
+    """An inertial measurement unit of another agent (`network.imu`)."""
+
+    type = "imu"
+
+
+class NetworkGpsFix(NetworkSensor):
+    """A GPS receiver of another agent (`network.gps_fix`)."""
+
+    type = "gps_fix"
+
+
+class NetworkLaserScan(NetworkSensor):
+    """A laser scanner of another agent (`network.laser_scan`)."""
+
+    type = "laser_scan"
+
+
+class NetworkCamera(NetworkSensor):
+    """A camera of another agent (`network.camera`)."""
+
+    type = "camera"
+
+
+class NetworkPose3D(NetworkSensor):
+    """A 3-D pose that another agent measures (`network.pose_3d`)."""
+
+    type = "pose_3d"
+
+
 class NetworkActuator(Actuator):
     """An actuator of another agent; a type of one's own needs a subclass that names it.
 
-    The other agent's device counts the command's time to live from when it comes: its own `hold_after_s`, or less where
-    the right of a guarded task ends sooner.
+    The other agent's device counts the command's time to live from when it comes: its own `hold_after_mission_s`,
+    or less where the right of a guarded task ends sooner.
     """
 
     networked = True
@@ -279,6 +326,44 @@ class NetworkMotors(NetworkActuator):
     """Wheels of another agent (`network.motors`)."""
 
     type = "motors"
+
+
+class NetworkDock(Actuator):
+    """The docks of other agents; each command says which (`network.dock`).
+
+    The dock's own device holds it for this robot while commands come, and no longer than its `hold_after_mission_s`
+    after the last. So a dock whose robot is lost becomes free.
+    """
+
+    type = "dock"
+    networked = True
+
+    def __init__(self, context: DeviceContext, settings: Any) -> None:
+        super().__init__(context, settings)
+        self._held = ""
+
+    def write(self, command: Dock, ttl_s: float, source: str) -> None:
+        """Hold a dock; one that was held before is released.
+
+        Raises:
+            PancakesError: `at` is no device's address.
+        """
+        if command.at.count("/") != 2 or not all(command.at.split("/")):
+            raise PancakesError(f"at = {command.at!r} is no device's address, such as 'dock1/device/dock'")
+        if command.at != self._held:
+            self.safe_stop()
+        self._held = command.at
+        self.context.send(CTRL, command, command.at)
+
+    def watchdog_s(self, hold_after_s: float) -> float:
+        """Return the hold time: the dock's own device counts each command's time to live."""
+        return hold_after_s
+
+    def safe_stop(self) -> None:
+        """Release the dock that is held."""
+        held, self._held = self._held, ""
+        if held:
+            self.context.send(CTRL, Hold(f"{self.context.agent}/device/{self.context.device} holds"), held)
 
 
 class NullSensor(Sensor):
@@ -344,6 +429,42 @@ class NullTemperature(NullSensor):
     """Feels nothing (`null.temperature`)."""
 
     type = "temperature"
+
+
+class NullEncoders(NullSensor):
+    """Counts no turns (`null.encoders`)."""
+
+    type = "encoders"
+
+
+class NullImu(NullSensor):
+    """Feels no motion (`null.imu`)."""
+
+    type = "imu"
+
+
+class NullGpsFix(NullSensor):
+    """Never has a fix (`null.gps_fix`)."""
+
+    type = "gps_fix"
+
+
+class NullLaserScan(NullSensor):
+    """Scans nothing (`null.laser_scan`)."""
+
+    type = "laser_scan"
+
+
+class NullCamera(NullSensor):
+    """Takes no image (`null.camera`)."""
+
+    type = "camera"
+
+
+class NullPose3D(NullSensor):
+    """Knows no 3-D pose (`null.pose_3d`)."""
+
+    type = "pose_3d"
 
 
 class StaticPose(Sensor):

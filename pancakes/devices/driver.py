@@ -156,6 +156,15 @@ class DeviceContext(Protocol):
         ...
 
 
+@dataclass
+class NoSettings:
+    """The settings of a driver without settings."""
+
+
+_Class = type
+"""A driver's own attribute is called `type`."""
+
+
 class Driver(ABC):
     """The base of all drivers.
 
@@ -166,6 +175,8 @@ class Driver(ABC):
         rate: what it does with the device's `rate_hz`. `needed`: without a rate it never does anything, so a
             configuration without one is refused. `optional`: it works with and without one. `none`: it acts when its
             hardware does, and a configuration with a rate is refused.
+        settings: an instance of the class's `Settings`, from `[device.NAME] settings`.
+        Settings: the dataclass of its settings; a driver with settings has its own.
     """
 
     type: ClassVar[str]
@@ -176,10 +187,7 @@ class Driver(ABC):
 
     context: DeviceContext
     settings: Any
-
-    @dataclass
-    class Settings:
-        """The driver's settings, from `[device.NAME] settings`; a driver replaces this dataclass by its own."""
+    Settings: ClassVar[_Class] = NoSettings
 
     def __init_subclass__(cls, **others: Any) -> None:
         """Raise `ClassError` if the class cannot work: a method that Pancakes calls, or `Settings`."""
@@ -222,7 +230,7 @@ class Sensor(Driver):
 
     rate: ClassVar[Rate] = "needed"
     silent_s: ClassVar[float | None] = None
-    """Without a reading for so long, in mission seconds, it is silent, unless `[device.NAME]` says `silent_s`."""
+    """Without a reading for this long, in mission seconds, it is silent; `silent_mission_s` overrides it."""
 
     @abstractmethod
     def read(self) -> Any | None:
@@ -249,9 +257,9 @@ class Actuator(Driver):
 
         Args:
             command: the body of a packet of the driver's type.
-            ttl_s: for how long it is good, in mission seconds: the device's `hold_after_s`, or less where the right of
-                a guarded task ends sooner. The hardware should go to its safe hold when no other command comes in that
-                time, even if this process is gone; see `watchdog_s`.
+            ttl_s: for how long it is good, in mission seconds: the device's `hold_after_mission_s`, or less where the
+                right of a guarded task ends sooner. The hardware should go to its safe hold when no other command comes
+                in that time, even if this process is gone; see `watchdog_s`.
             source: address of the task that gave it.
         """
 
@@ -264,8 +272,8 @@ class Actuator(Driver):
             hold_after_s: the longest time to live of a command, in mission seconds.
 
         Returns:
-            The time without a fresh command, in mission seconds: `hold_after_s` of hardware that counts each command's
-            time to live, the time-out of hardware that has one of its own. None: it keeps its last command.
+            The time without a fresh command, in mission seconds: `hold_after_mission_s` of hardware that counts each
+            command's time to live, the time-out of hardware that has one of its own. None: it keeps its last command.
         """
         return None
 

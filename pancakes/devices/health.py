@@ -25,13 +25,13 @@ class MissRule(msgspec.Struct, frozen=True):
     Attributes:
         in_a_row: after this number of misses in a row it fails, and is restarted.
         share: it also fails if this share is missed ...
-        within_s: ... within this many seconds of mission time, and at least `in_a_row` of them. The number of misses
-            is logged at the same interval.
+        within_mission_s: ... within this many seconds of mission time, and at least `in_a_row` of them. The number of
+            misses is logged at the same interval.
     """
 
     in_a_row: Annotated[int, msgspec.Meta(ge=1, le=1_000_000)] = 5
     share: Annotated[float, msgspec.Meta(gt=0, le=1)] = 0.5
-    within_s: Annotated[float, msgspec.Meta(gt=0, le=1e9)] = 30.0
+    within_mission_s: Annotated[float, msgspec.Meta(gt=0, le=1e9)] = 30.0
 
 
 def share_of(missed: int, tries: int) -> str:
@@ -69,11 +69,13 @@ class Readings:
 
     def came(self, now_s: float) -> Sequence[Line]:
         """Take note of a sound reading; return what to log."""
+        if self._since_s == math.inf and not self._silent:
+            # Nothing was missed of late, so nothing but the count changes: no lock. If a driver delivers in two threads
+            # at the same instant, one of the two readings may not be counted, which decides nothing.
+            self._came += 1
+            self._last_s = now_s
+            return ()
         with self._lock:
-            if self._since_s == math.inf and not self._silent:  # nothing was missed of late
-                self._came += 1
-                self._last_s = now_s
-                return ()
             lines = self._count(now_s)
             self._came += 1
             self._in_a_row = 0
@@ -137,7 +139,7 @@ class Readings:
     def _count(self, now_s: float) -> list[Line]:
         """End a count of misses whose time is over; return what to log."""
         rule = self._rule
-        if now_s - self._since_s < rule.within_s - ROUNDING_S:
+        if now_s - self._since_s < rule.within_mission_s - ROUNDING_S:
             return []
         tries, missed = self._came + self._missed - self._tries_then, self._missed - self._missed_then
         lines: list[Line] = []

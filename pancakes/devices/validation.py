@@ -133,12 +133,12 @@ def _checks_fields(
 
     if len(checks) < 2 or not all(_is_unbound(field.type) for field in info.fields):
         return check_fields
-    get_all = operator.attrgetter(*(name for name, _, _ in checks))
+    cls, get_all = info.cls, operator.attrgetter(*(name for name, _, _ in checks))
 
     def check_numbers(value: Any) -> str:
         # A sum is finite only if all of its numbers are: most readings need no look at each.
         try:
-            if isinstance(value, info.cls) and math.isfinite(sum(get_all(value))):
+            if isinstance(value, cls) and math.isfinite(sum(get_all(value))):
                 return ""
         except (TypeError, OverflowError):
             pass

@@ -1,6 +1,6 @@
 """The Task Migrator: asks the neighbours for bids, and answers theirs (paper §3.4).
 
-It decides where a task goes, never whether it may run there: that is the hand-off's business. Cost functions of
+It decides where a task goes, never whether it may run there: that is decided by the migration. Cost functions of
 plug-ins may wait or fail, so the `Appraiser` calls them in a thread of its own.
 """
 
@@ -26,14 +26,16 @@ from pancakes.durable.bidding_messages import (
     Negotiate,
     ServiceBegan,
 )
-from pancakes.durable.handoff_events import Times
 from pancakes.durable.host_state import IDLE, HostState, Imported, LoadMeter
-from pancakes.durable.hosting import PeerTalk
-from pancakes.durable.messages import Bid, Refuse, Solicit, is_for
+from pancakes.durable.messages import REGISTRAR, Bid, Known, Refuse, Solicit, is_for
 from pancakes.durable.negotiation import Awarded, Exhausted, Negotiation, Outcome
+from pancakes.durable.origins import Origins
+from pancakes.durable.peer_talk import PeerTalk
 from pancakes.durable.record import TaskId
+from pancakes.durable.register import Identity
 from pancakes.durable.snapshot import offer_of
-from pancakes.durable.store import MigrationReports
+from pancakes.durable.store import MigrationReports, Records
+from pancakes.durable.times import Times
 from pancakes.errors import MigrationError
 from pancakes.kernel.actor import ActorCore
 from pancakes.kernel.handlers import on, reliable
@@ -116,15 +118,18 @@ LOOK_S = 2.0
 class TaskMigrator(TaskCore, Task):
     """Asks all neighbours for bids, and answers theirs.
 
-    Which task may run where is not decided here but by the hand-off of the service that owns it.
+    Which task may run where is not decided here but by the migration of the service that owns it.
 
     Args:
         mesh: says what neighbours there are.
         state: says whether this agent can take a task, and how busy it is.
+        records: what is known of tasks here.
         ledgers: keeps the accounts of moves.
     """
 
-    def __init__(self, *args: Any, mesh: Mesh, state: HostState, ledgers: MigrationReports, **others: Any) -> None:
+    def __init__(
+        self, *args: Any, mesh: Mesh, state: HostState, records: Records, ledgers: MigrationReports, **others: Any
+    ) -> None:
         super().__init__(*args, **others)
         self._mesh = mesh
         self._talk = PeerTalk(self, mesh)
@@ -135,6 +140,8 @@ class TaskMigrator(TaskCore, Task):
         self._meter = LoadMeter()
         self._appraising: dict[int, tuple[str, Solicit]] = {}  # the agents that are to have the answers, by number
         self._questions = 0
+        self._holding: dict[TaskId, tuple[str, MigrationReport]] = {}  # who is to keep room for the task
+        self._origins = Origins(self, records, self._talk.neighbours)
 
     def on_start(self) -> None:
         if self.kernel.virtual is None:
@@ -143,7 +150,7 @@ class TaskMigrator(TaskCore, Task):
         else:
             # In virtual time nothing of the wall may enter.
             self._state.measured = IDLE
-        device_types = {"battery", *(it for cost in self._state.costs().values() for it in cost.reads)}
+        device_types = {"battery", "reserve", *(it for cost in self._state.costs().values() for it in cost.reads)}
         self.kernel.stream.tap(SYSTEM, self._state.readings.take, tuple(sorted(device_types)))
         for service in self._state.services():
             tell(service, MigratorBegan())
@@ -281,10 +288,29 @@ class TaskMigrator(TaskCore, Task):
             return
         negotiation, service = found
         if isinstance(outcome, Awarded):
-            ledger = negotiation.ledger(self.kernel.host.now())
-            tell(service, BidAwarded(task_id, outcome.peer, negotiation.request, ledger))
+            self._award(task_id, outcome.peer, negotiation, service)
         elif isinstance(outcome, Exhausted):
             self._finish(task_id, str(outcome.error) if outcome.error is not None else "")
+
+    def _award(self, task_id: TaskId, peer: str, negotiation: Negotiation, service: Reference) -> None:
+        """One neighbour made the lowest bid: the owner of the task has it keep room, a member has it called."""
+        ledger = negotiation.ledger(self.kernel.host.now())
+        if service.address == join(self.agent, REGISTRAR):
+            tell(service, BidAwarded(task_id, Identity(peer), ledger))
+            return
+        self._holding[task_id] = (peer, ledger)
+        self._talk.say(peer, MIGRATOR, replace(negotiation.request, hold=True))
+        self.after_host(self._times.reserve_s, partial(self._not_held, task_id, self._holding[task_id]))
+
+    def _not_held(self, task_id: TaskId, held: tuple[str, MigrationReport]) -> None:
+        if self._holding.get(task_id) is held:
+            self._hold_failed(task_id, Refusal("unable", "did not answer the reservation in time"))
+
+    def _hold_failed(self, task_id: TaskId, refusal: Refusal) -> None:
+        peer, _ = self._holding.pop(task_id)
+        found = self._negotiations.get(task_id)
+        if found is not None:
+            self._attempt_over(AttemptOver(found[1], task_id, peer, refusal, None))
 
     def _finish(self, task_id: TaskId, reason: str, offer: str = "") -> None:
         negotiation, service = self._negotiations.pop(task_id)
@@ -297,7 +323,15 @@ class TaskMigrator(TaskCore, Task):
 
     @on(NETWORK, Bid, queue=KEEP, addressed=True)
     def on_bid(self, packet: Packet) -> None:
-        """A neighbour would take the task."""
+        """A neighbour would take the task, or keeps room for it."""
+        body, peer = packet.body, agent_of(packet.source)
+        if body.holds:
+            holding, found = self._holding.get(body.task_id), self._negotiations.get(body.task_id)
+            asked = holding is not None and holding[0] == peer == body.by.agent
+            if asked and found is not None and holding is not None and is_for(body, self._talk.me.journal):
+                del self._holding[body.task_id]
+                tell(found[1], BidAwarded(body.task_id, body.by, holding[1]))
+            return
         self._answered(
             packet, lambda negotiation, bid, now_s: negotiation.bid(agent_of(packet.source), bid.cost, bid.terms, now_s)
         )
@@ -305,6 +339,10 @@ class TaskMigrator(TaskCore, Task):
     @on(NETWORK, Refuse, queue=KEEP, addressed=True)
     def on_refuse(self, packet: Packet) -> None:
         """A neighbour cannot take the task."""
+        holding = self._holding.get(packet.body.task_id)
+        if holding is not None and holding[0] == agent_of(packet.source):
+            self._hold_failed(packet.body.task_id, packet.body.refusal)
+            return
         self._answered(
             packet,
             lambda negotiation, refuse, now_s: negotiation.refuse(agent_of(packet.source), refuse.refusal, now_s),
@@ -328,11 +366,28 @@ class TaskMigrator(TaskCore, Task):
         peer = agent_of(packet.source)
         if self._state.imports_first(self, peer, request.type, packet):
             return
+        if request.hold:
+            self._origins.judge(packet, self._hold)
+            return
         refusal = self._state.refusal_of(peer, request)
         if refusal is None:
             self._appraise(peer, request)
         else:
             self._refuse(peer, request, refusal)
+
+    def _hold(self, packet: Packet, refusal: Refusal | None) -> None:
+        """Keeps room for a task of which it is known where it comes from."""
+        peer, request = agent_of(packet.source), packet.body
+        refusal = refusal or self._state.reserve(peer, request)
+        if refusal is not None:
+            self._refuse(peer, request, refusal)
+        else:
+            self._talk.say(peer, MIGRATOR, Bid(request.task_id, request.ask, 0.0, {}, True, self._talk.me))
+
+    @on(NETWORK, Known, queue=KEEP, addressed=True)
+    def on_known(self, packet: Packet) -> None:
+        """An agent that was asked says which one has a task."""
+        self._origins.told(packet)
 
     def _appraise(self, peer: str, request: Solicit) -> None:
         """Has the cost of a task worked out: those of the core at once, others in a thread of their own."""
@@ -354,7 +409,7 @@ class TaskMigrator(TaskCore, Task):
         self._questions += 1
         number = self._questions
         self._appraising[number] = (peer, request)
-        facts = CostFacts(load, dict(self._state.readings.newest), settings, state)
+        facts = CostFacts(load, self._state.known_readings(), settings, state)
         tell(self._appraiser(), Appraise(self, number, request.cost, facts))
         self.after_host(APPRAISED_S, lambda: self._not_appraised(number))
 

@@ -12,11 +12,45 @@ import msgspec
 from pancakes.control import Refusal
 from pancakes.durable.messages import Solicit
 from pancakes.durable.record import TaskId
+from pancakes.durable.register import Identity
 from pancakes.kernel.mailbox import Reference
 from pancakes.migration import MigrationReport
+from pancakes.supervision.lifecycle import Request
 
 MIGRATOR: Final = "network/TaskMigrator"
 """Where on each agent the Task Migrator is."""
+
+ALLOCATOR: Final = "Allocator"
+"""The name of the task of the Network Service that holds the rounds of the team's allocation."""
+
+
+class AllocationAsked(msgspec.Struct, frozen=True):
+    """The Network Service hands on a request for a round; to be answered by `AllocationAnswered`.
+
+    Attributes:
+        service: the service.
+        request: the request.
+        dry_run: whether nothing is to be moved.
+    """
+
+    service: Reference
+    request: Request
+    dry_run: bool
+
+
+class AllocationAnswered(msgspec.Struct, frozen=True):
+    """The round that was asked for is over, or cannot be held.
+
+    Attributes:
+        request: the request.
+        refusal: why it cannot be held; None: it was.
+        result: its account, as plain values.
+    """
+
+    request: Request
+    refusal: Refusal | None
+    result: Any = None
+
 
 # What a service tells the Task Migrator.
 
@@ -44,7 +78,7 @@ class Negotiate(msgspec.Struct, frozen=True):
 
 
 class AttemptOver(msgspec.Struct, frozen=True):
-    """The hand-off to a bidder came to nothing: the next one's turn.
+    """The migration to a bidder came to nothing: the next one's turn.
 
     Attributes:
         service: the service that owns the task.
@@ -119,15 +153,18 @@ class BidAwarded(msgspec.Struct, frozen=True):
 
     Attributes:
         task_id: the task.
-        peer: the cheapest bidder.
-        request: what it bid on.
+        heir: the agent that made the lowest bid; it keeps room for the task, if its owner asked.
         ledger: the account so far.
     """
 
     task_id: TaskId
-    peer: str
-    request: Solicit
+    heir: Identity
     ledger: MigrationReport
+
+    @property
+    def peer(self) -> str:
+        """The name of that agent."""
+        return self.heir.agent
 
 
 class MoveOver(msgspec.Struct, frozen=True):

@@ -9,20 +9,22 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from functools import cache, partial
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import msgspec
 from msgspec.structs import asdict, replace
 
-from pancakes.durable.courier import COURIER, AskedBegan, CameFor, Say
-from pancakes.durable.delivery import ForwardTo, Letter, Receipt, StreamsBegan
-from pancakes.durable.handoff import handle
-from pancakes.durable.handoff_events import Arrived, Checkpoint, Deliver, Forward, PacketId
+from pancakes.durable.courier_messages import COURIER, AskedBegan, CameFor, Say
+from pancakes.durable.delivery import ForwardTo, Letter, PacketId, Receipt, StreamsBegan
 from pancakes.durable.hosting import HostingService, Place, TaskLetters, began_from, last_checkpoint, plain_of
 from pancakes.durable.installed import Installed
-from pancakes.durable.record import Phase, TaskId
+from pancakes.durable.messages import REGISTRAR
+from pancakes.durable.reconcile import Outcome, Write
+from pancakes.durable.record import TaskId
+from pancakes.durable.register import Standing
+from pancakes.durable.register_messages import Guarded
+from pancakes.durable.rules import Desired, Save
 from pancakes.durable.snapshot import Posted, Snapshot
-from pancakes.durable.state_machine import idle
 from pancakes.errors import MigrationError, PancakesError
 from pancakes.kernel.dead_letters import ATTEMPTS
 from pancakes.kernel.mailbox import Reference, tell
@@ -61,7 +63,7 @@ def snapshot_of(
         version=spec.version,
         service=service,
         requires=spec.cls.requires,
-        settings=_set_of(spec, carried.settings),
+        settings=set_of(spec, carried.settings),
         configured=dict(spec.settings),
         state=dict(carried.state),
         periods_s=dict(carried.periods_s),
@@ -74,10 +76,11 @@ def snapshot_of(
         rate_hz=spec.rate_hz,
         created=spec.created,
         offers=spec.cls.offers,
+        requests=carried.requests,
     )
 
 
-def _set_of(spec: TaskSpec, settings: Mapping[str, Any]) -> dict[str, Any]:
+def set_of(spec: TaskSpec, settings: Mapping[str, Any]) -> dict[str, Any]:
     """Returns the settings that were set, by its configuration or since: a new version may have other defaults."""
     defaults = _defaults_of(spec.cls.Settings)
     return {
@@ -126,40 +129,9 @@ def spec_of(snapshot: Snapshot, catalogue: Installed) -> TaskSpec:
     )
 
 
-class Rules(NamedTuple):
-    """How a task moves and is guarded.
-
-    Attributes:
-        move: when it moves by itself; None: it does not.
-        guard: how it is guarded; None: it is not.
-    """
-
-    move: MigrationRule | None
-    guard: GuardRule | None
-
-
-def rules_of(encoded: bytes, task_id: TaskId) -> tuple[Snapshot, Rules]:
-    """Reads a snapshot that another agent has kept, and what it says of its task.
-
-    Raises:
-        MigrationError: it cannot be read, or is of another task.
-    """
-    snapshot = Snapshot.decode(encoded)
-    if snapshot.task_id != task_id:
-        raise MigrationError(f"the snapshot is of {snapshot.task_id}, not of {task_id}")
-    try:
-        move = codecs.convert(snapshot.migrate, MigrationRule) if snapshot.migrate is not None else None
-        guard = codecs.convert(snapshot.guard, GuardRule) if snapshot.guard is not None else None
-        if snapshot.restart:
-            codecs.convert(snapshot.restart, RestartSpec)
-    except msgspec.ValidationError as error:
-        raise MigrationError(f"the snapshot of {task_id} is malformed: {error}") from None
-    return snapshot, Rules(move, guard)
-
-
 def carried_of(snapshot: Snapshot) -> Carried:
     """Returns what a task that begins from a snapshot carries."""
-    return Carried(snapshot.settings, snapshot.state, snapshot.periods_s, snapshot.heard)
+    return Carried(snapshot.settings, snapshot.state, snapshot.periods_s, snapshot.heard, snapshot.requests)
 
 
 def settings_now(snapshot: Snapshot, configured: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]]:
@@ -182,6 +154,8 @@ AT_ONCE: Final = 20
 class Checkpointing:
     """Looks at the tasks of one service, and writes down what has changed. All in that service's actor.
 
+    A guarded task has a time of its own; those with the same one share packets, and rounds of the disk.
+
     Args:
         host: the service.
 
@@ -193,17 +167,17 @@ class Checkpointing:
         self._host = host
         self.late: dict[TaskId, Place] = {}
         self._begun = False
+        self._periods: set[float] = set()
 
     def begin(self) -> None:
-        """Looks at all tasks from now on, as long as there are any."""
+        """Look at all tasks from now on, as long as there are any."""
         if not self._begun:
             self._begun = True
             self._host.after_host(CHECKPOINT_S, self._look_at_all)
 
     def _look_at_all(self) -> None:
         self._begun = False
-        # A guarded task has a time of its own.
-        names = [name for name in self._host.slots if self._host.places.at[name].tenancy is None]
+        names = [slot.name for slot in self._host.slots.values() if slot.spec.guard is None]
         batches = [names[start : start + AT_ONCE] for start in range(0, len(names), AT_ONCE)]
         for number, batch in enumerate(batches):
             if number == 0:
@@ -213,8 +187,52 @@ class Checkpointing:
         if self._host.slots:
             self.begin()
 
+    def guarded(self, place: Place) -> None:
+        """Look at a guarded task, now and again and again."""
+        slot = place.slot
+        if slot is None or slot.spec.guard is None:
+            return
+        self._look_at_guarded([place])
+        self._look_later(slot.spec.guard.checkpoint_s)
+
+    def _look_later(self, every_s: float) -> None:
+        if every_s in self._periods:
+            return
+        self._periods.add(every_s)
+        to_next_s = every_s - self._host.kernel.host.now() % every_s
+        if to_next_s < every_s / 2:  # it may be next to nothing, as numbers are rounded
+            to_next_s += every_s
+        self._host.after_host(to_next_s, partial(self._look_again, every_s))
+
+    def _look_again(self, every_s: float) -> None:
+        self._periods.discard(every_s)
+        guarded = [it for it in self._host.slots.values() if it.spec.guard is not None]
+        due = [it for it in guarded if it.spec.guard is not None and it.spec.guard.checkpoint_s == every_s]
+        self._look_at_guarded([self._host.places.at[it.name] for it in due])
+        if due:
+            self._look_later(every_s)
+
+    def _look_at_guarded(self, places: Sequence[Place]) -> None:
+        self.look_at([it.slot.name for it in places if it.slot is not None])
+        for place in places:
+            self._look_at_actuators(place)
+
+    def _look_at_actuators(self, place: Place) -> None:
+        slot, host = place.slot, self._host
+        if slot is None or not place.record.owned:
+            return
+        unsafe = frozenset(host.kernel.registry.without_dead_man(slot.address))
+        for device in sorted(unsafe - place.unsafe):
+            host.log(
+                "warning",
+                f"{slot.address} is guarded and commands {device}, whose hardware does not stop it unless commanded:"
+                " if this process is stopped or killed, it keeps its last command",
+            )
+            host.event("no_dead_man", task=slot.name, device=device)
+        place.unsafe = unsafe
+
     def look_at(self, names: Sequence[str]) -> None:
-        """Looks at some tasks, by name."""
+        """Look at some tasks, by name."""
         places = self._host.places
         for name in names:
             slot = self._host.slots.get(name)
@@ -227,7 +245,14 @@ class Checkpointing:
             if place.owes or written is None or not written.surely_holds(note, timers):
                 tell(slot.task, Look())
             else:
-                place.looked_s = kernel.host.now()
+                self._unchanged(place)
+
+    def _unchanged(self, place: Place) -> None:
+        """The task is as its newest checkpoint says."""
+        place.looked_s, place.unwritable = self._host.kernel.host.now(), False
+        slot = place.slot
+        if slot is not None and slot.spec.guard is not None and place.removal is None:
+            self._host.kernel.tell(REGISTRAR, Guarded(place.task_id, slot.spec.type, slot.spec.guard, place.looked_s))
 
     def look_at_late(self) -> None:
         """The disk has written something: looks at the tasks whose checkpoint had to wait."""
@@ -245,19 +270,18 @@ class Checkpointing:
             self.save(slot, looked.carried)
 
     def save(self, slot: Slot, carried: Carried) -> None:
-        """Writes down a running task, if anything has changed."""
+        """Write down a running task, if anything has changed."""
         if slot.life.state is not State.RUNNING:
             return
         place = self._host.places.at[slot.name]
-        standing = place.standing
-        if not idle(standing):
-            # The disk is slow, or a hand-off under way: the next time will do, and nothing piles up meanwhile.
+        if not place.idle:
+            # The disk is slow, or a migration under way: the next time will do, and nothing piles up meanwhile.
             self.late[place.task_id] = place
             return
         try:
             plain = plain_of(carried)
             if place.written is not None and place.written.plain == plain and not place.owes:
-                place.looked_s, place.unwritable = self._host.kernel.host.now(), False
+                self._unchanged(place)
                 return
             snapshot = self._host.snapshot(slot, carried)
         except PancakesError as error:
@@ -266,8 +290,16 @@ class Checkpointing:
         place.unwritable = False
         place.written, place.looked_s = last_checkpoint(slot.spec.cls, carried, plain), self._host.kernel.host.now()
         consumed = place.letters.consumed(carried.heard) if place.letters is not None else ()
-        record = standing.record
-        self._host.feed_place(place, Checkpoint(record.epoch, record.incarnation, snapshot, consumed))
+        then = partial(self._saved, place, consumed)
+        self._host.tell_registrar(place, Save(snapshot), then, write=Write.SAVE, is_checkpoint=True)
+
+    def _saved(self, place: Place, consumed: Sequence[PacketId], outcome: Outcome, why: str) -> None:
+        if outcome in (Outcome.FAILED, Outcome.DECLINED):
+            place.written = None
+        elif outcome is Outcome.COUNTS:
+            # Only then its effect outlives this agent, too, so that a take-over keeps it.
+            for packet in consumed:
+                self._host.on_disk(place, packet)
 
     def _tell_unwritable(self, slot: Slot, why: str) -> None:
         """Tells `log` once what a task carries that cannot be written down, until it can again."""
@@ -307,14 +339,12 @@ class Deliveries:
         place = host.places.get(TaskId.parse(letter.task_id))
         if place is None:
             return
-        standing = place.standing
-        # Asked past the queue of events: it changes nothing, and what is being written now is no reason to wait.
-        for effect in handle(host.agent, standing.record, standing.volatile, Arrived()):
-            match effect:
-                case Deliver():
-                    self._deliver(place, letter, came.packet)
-                case Forward():
-                    self._say(letter.sender, ForwardTo(letter.task_id, effect.peer, effect.epoch.n))
+        record = place.record
+        if record.owned and place.course.desired is Desired.RUN and not place.course.paused:
+            self._deliver(place, letter, came.packet)
+        elif record.standing in (Standing.RELEASED, Standing.MEMBER) and record.peer:
+            self._say(letter.sender, ForwardTo(letter.task_id, record.peer, record.seen.n))
+        # Stopped or undecided: the sender keeps the letter, for want of an acknowledgement, and sends it again.
 
     def _deliver(self, place: Place, letter: Letter, packet: Packet | None) -> None:
         slot = place.slot
@@ -368,7 +398,7 @@ class Deliveries:
 
     def became_owner(self, place: Place) -> None:
         """A task is owned here from now on, or under another epoch: remembers what it begins from."""
-        record, slot = place.standing.record, place.slot
+        record, slot = place.record, place.slot
         if slot is not None and slot.task is not None:
             return  # it goes on as it is
         try:
@@ -380,7 +410,7 @@ class Deliveries:
     def _asked_began(self, message: AskedBegan) -> None:
         """An agent that has sent letters to a task asks from what state it began here."""
         place = self._host.places.get(TaskId.parse(message.asked.task_id))
-        if place is not None and place.began is not None and place.standing.record.phase is Phase.OWNER:
+        if place is not None and place.began is not None and place.record.owned:
             upto = {stream: place.began.upto(stream) for stream in message.asked.streams}
             began = StreamsBegan(message.asked.task_id, place.began.epoch_n, upto, place.began.life)
             self._say(message.peer, began)
@@ -399,7 +429,7 @@ class Deliveries:
 
     def _acknowledge(self, place: Place, packet: PacketId, sender: str) -> None:
         """Tells the sender of a letter that it, and all before it, have had their effect."""
-        began, epoch_n = place.began, place.standing.record.epoch.n
+        began, epoch_n = place.began, place.record.epoch.n
         receipt = Receipt(str(place.task_id), packet.stream, packet.seq, epoch_n)
         if began is not None:
             upto = began.upto(packet.stream)

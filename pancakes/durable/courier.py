@@ -11,9 +11,10 @@ import threading
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any, Final
 
-import msgspec
 from msgspec.structs import replace
 
+from pancakes.durable.answers import fact_of
+from pancakes.durable.courier_messages import COURIER, AskedBegan, CameFor, OwnerHeard, Say, SendUnsent
 from pancakes.durable.delivery import (
     MOST_STREAMS,
     RESEND_S,
@@ -29,8 +30,8 @@ from pancakes.durable.delivery import (
     asked_now,
     false_name,
 )
-from pancakes.durable.ownership import OwnerClaim, TaskAt, WhereIs, whereabouts
-from pancakes.durable.record import Phase, Record, TaskId
+from pancakes.durable.messages import REGISTRAR, Fact, Known, WhoHas
+from pancakes.durable.record import TaskId
 from pancakes.durable.snapshot import Posted
 from pancakes.durable.store import Records
 from pancakes.errors import LocalProtocolError, MigrationError, PancakesError, RemoteProtocolError
@@ -39,64 +40,8 @@ from pancakes.kernel.handlers import drop_oldest, on
 from pancakes.kernel.mailbox import Reference, tell
 from pancakes.mesh.codec import MAX_MESSAGE_BYTES, encode_packet, of_agent, packet_from_row, rows_from_payload
 from pancakes.mesh.mesh import Mesh
-from pancakes.packet import NETWORK, TO_TASK, Fence, Packet, agent_of, join
+from pancakes.packet import NETWORK, TO_TASK, Packet, agent_of, join
 from pancakes.util.text import did_you_mean
-
-COURIER: Final = "kernel/Courier"
-"""Where on each agent the courier is."""
-
-
-class CameFor(msgspec.Struct, frozen=True):
-    """The courier tells a service that a packet has come for one of its tasks.
-
-    Attributes:
-        letter: the letter that it came in.
-        packet: what is in it; None: it cannot be read here.
-    """
-
-    letter: Letter
-    packet: Packet | None
-
-
-class Say(msgspec.Struct, frozen=True):
-    """Tell the courier of another agent something; it may be lost.
-
-    Attributes:
-        peer: the other agent.
-        body: what to tell it.
-    """
-
-    peer: str
-    body: Letter | Receipt | ForwardTo | StreamsBegan
-
-
-class OwnerHeard(msgspec.Struct, frozen=True):
-    """The census tells the courier what another agent owns.
-
-    Attributes:
-        peer: the other agent.
-        claims: the tasks.
-    """
-
-    peer: str
-    claims: tuple[OwnerClaim, ...]
-
-
-class AskedBegan(msgspec.Struct, frozen=True):
-    """The courier tells a service that another agent asks from what state one of its tasks began; answered by `Say`.
-
-    Attributes:
-        peer: the agent that asks.
-        asked: what it asks.
-    """
-
-    peer: str
-    asked: AskBegan
-
-
-class SendUnsent(msgspec.Struct, frozen=True):
-    """There is something in the outbox that was not sent yet."""
-
 
 ENVELOPE_BYTES: Final = 1024
 """What a letter takes besides the packet in it, at most."""
@@ -150,10 +95,10 @@ class SharedOutbox:
         with self._lock:
             self._unsent += self._outbox.acknowledged(receipt, peer, now_s)
 
-    def unsure_of(self, claims: Iterable[OwnerClaim]) -> list[AskBegan]:
+    def unsure_of(self, claims: Iterable[Fact]) -> list[AskBegan]:
         """Returns what is to be asked of an agent that owns tasks: from what state each of them began there."""
         with self._lock:
-            asked = [(str(it.task_id), self._outbox.unsure_of(str(it.task_id), it.epoch.n)) for it in claims]
+            asked = [(str(it.task_id), self._outbox.unsure_of(str(it.task_id), it.register.epoch.n)) for it in claims]
         return [AskBegan(task_id, streams[:MOST_STREAMS]) for task_id, streams in asked if streams]
 
     def began(self, news: StreamsBegan, peer: str) -> None:
@@ -190,7 +135,7 @@ class SharedOutbox:
     # A sender that moves ---------------------------------------------------------------------------------------
 
     def leave(self, sender: TaskId) -> Posted | None:
-        """A task stands still and is about to leave: returns what it takes along of what it has sent."""
+        """A task is paused and is about to leave: returns what it takes along of what it has sent."""
         with self._lock:
             return self._outbox.leave(str(sender))
 
@@ -308,7 +253,7 @@ class Courier(ActorCore):
         self._outbox.post(packet, host, self.kernel.host.now())
         tell(self, SendUnsent())
 
-    def _say(self, peer: str, body: Letter | Receipt | ForwardTo | StreamsBegan | WhereIs) -> None:
+    def _say(self, peer: str, body: Letter | Receipt | ForwardTo | StreamsBegan) -> None:
         if peer != self.agent:
             try:
                 self.publish(NETWORK, body, to=join(peer, COURIER))
@@ -366,24 +311,12 @@ class Courier(ActorCore):
             self._outbox.began(packet.body, peer)
             self._tell_lost()
 
-    @on(NETWORK, WhereIs, addressed=True)
-    def on_where_is(self, packet: Packet) -> None:
-        """Another agent asks which one has a task, before its actuators obey the task."""
-        try:
-            record = self._records.get(TaskId.parse(packet.body.task_id))
-            at = whereabouts(self.agent, packet.body.task_id, record)
-            self.publish(NETWORK, replace(at, acts=record is None or self._acts(record)), to=packet.source)
-        except PancakesError as error:
-            self.log("debug", f"{packet.source} was not told where {packet.body.task_id!a} is: {error}")
-
-    def _acts(self, record: Record) -> bool:
-        here = record.phase in (Phase.OWNER, Phase.FROZEN) and record.guarded
-        return not here or self.kernel.permits.may_act(Fence(str(record.task_id), record.epoch))
-
-    @on(NETWORK, TaskAt, addressed=True)
-    def on_task_at(self, packet: Packet) -> None:
+    @on(NETWORK, Known, addressed=True)
+    def on_known(self, packet: Packet) -> None:
         """An agent that was asked says which one has a task."""
-        self._found(packet.body, agent_of(packet.source))
+        peer = agent_of(packet.source)
+        for fact in packet.body.facts:
+            self._found(fact, peer)
 
     def _arrived(self, letter: Letter, peer: str) -> None:
         try:
@@ -428,10 +361,11 @@ class Courier(ActorCore):
         self._outbox.forwarded(news, peer, self.kernel.host.now())
         self._send()
 
-    def _found(self, at: TaskAt, peer: str) -> None:
-        if at.peer:
-            self._sought.pop(at.task_id, None)
-            self._forwarded(ForwardTo(at.task_id, at.peer, at.epoch.n), peer)
+    def _found(self, fact: Fact, peer: str) -> None:
+        if fact.owner:
+            task_id = str(fact.task_id)
+            self._sought.pop(task_id, None)
+            self._forwarded(ForwardTo(task_id, fact.owner, fact.epoch.n), peer)
 
     # Sending ---------------------------------------------------------------------------------------------------
 
@@ -446,9 +380,15 @@ class Courier(ActorCore):
             self._look_later()
 
     def _seek(self, task_id: str) -> None:
-        self._found(whereabouts(self.agent, task_id, self._records.get(TaskId.parse(task_id))), self.agent)
+        asked = TaskId.parse(task_id)
+        record = self._records.get(asked)
+        if record is not None and not record.unborn:
+            self._found(fact_of(record), self.agent)
         for peer in asked_now(self._mesh.neighbours(), self.kernel.host.now()):
-            self._say(peer, WhereIs(task_id))
+            try:
+                self.publish(NETWORK, WhoHas((asked,)), to=join(peer, REGISTRAR))
+            except PancakesError as error:
+                self.log("debug", f"{peer} was not asked about {task_id}: {error}")
         self._sought = {it: times for it, times in self._sought.items() if it in self._outbox.waiting()}
         self._sought[task_id] = times = self._sought.get(task_id, 0) + 1
         if times == SOUGHT_IN_VAIN:

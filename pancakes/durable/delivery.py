@@ -3,7 +3,7 @@
 A sender keeps each letter until it is acknowledged, and sends it again until then, in order. The receiver takes only
 the next letter of each stream, so a late, doubled or reordered letter has no second effect and overtakes nothing. If
 the task has migrated, the agent that had it names the new one, and the sender sends the letter there itself: each
-agent speaks only for itself (docs/protocol.md, packets). A task that sends letters takes its stream along when it
+agent speaks only for itself (docs/protocol.md, letters). A task that sends letters takes its stream along when it
 migrates.
 """
 
@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import Annotated, Any, Final
+from typing import Annotated, Any, Final, NamedTuple
 
 import msgspec
 from msgspec.structs import replace
@@ -41,6 +41,13 @@ MOST_OF_SENDER: Final = STREAMS // 2
 StreamName = Annotated[str, msgspec.Meta(max_length=512)]
 MOST_STREAMS: Final = 1024
 """An owner is asked about so many streams at once; of the others nothing is known to be lost."""
+
+
+class PacketId(NamedTuple):
+    """Names a packet that its sender keeps until it is acknowledged: its stream, and its number there."""
+
+    stream: str
+    seq: int
 
 
 @packet_type("post.letter")
@@ -73,7 +80,7 @@ class Receipt(msgspec.Struct, frozen=True):
         task_id: the task.
         stream: the stream.
         seq: up to which number.
-        epoch_n: how many hand-offs the task has behind it; the task is with the sender of this.
+        epoch_n: how many migrations the task has behind it; the task is with the sender of this.
         began_n: the number of the epoch under which the task began there from a snapshot; -1: that is not known.
         began_seq: up to which letter of the stream that snapshot has the effects; -1: that is not known.
         began_life: tells its beginnings under one epoch apart: each later one, after a crash of its agent, is higher.
@@ -125,7 +132,7 @@ class ForwardTo(msgspec.Struct, frozen=True):
     Attributes:
         task_id: the task.
         peer: the agent to try.
-        epoch_n: how many hand-offs that news knows of; older news never replaces newer.
+        epoch_n: how many migrations that news knows of; older news never replaces newer.
     """
 
     task_id: str
@@ -511,7 +518,7 @@ class Outbox:
         self._streams: dict[str, Outgoing] = {self._common.stream: self._common}
         self._named: dict[str, Outgoing] = {}  # by what they are called in letters
         self._of: dict[str, Outgoing] = {}  # the streams that tasks add to, by the sender's id
-        self._left: dict[str, Outgoing | None] = {}  # those of tasks that stand still for a hand-off
+        self._left: dict[str, Outgoing | None] = {}  # those of tasks that stand still for a migration
         self._ending: set[str] = set()  # tasks that have left for good, and whose actor has not ended
 
     def post(self, sender: str, task_id: TaskId, packet: bytes, host: str, now_s: float) -> list[ToSend]:
@@ -587,7 +594,7 @@ class Outbox:
     # A sender that moves ---------------------------------------------------------------------------------------
 
     def leave(self, sender: str) -> Posted | None:
-        """A sender stands still and is about to leave: returns its stream, to which nothing may be added from now on.
+        """A sender is paused and is about to leave: returns its stream, to which nothing may be added from now on.
 
         What is in it is sent all the same: its new host will send it again under the same numbers.
         """

@@ -18,13 +18,13 @@ from typing import TYPE_CHECKING, Any, Final
 import msgspec
 
 from pancakes.control import Refusal
-from pancakes.durable.guarding import GuardRegister
-from pancakes.durable.handoff_events import Times
 from pancakes.durable.installed import Installed
-from pancakes.durable.messages import Reserve, Solicit
+from pancakes.durable.messages import Solicit
 from pancakes.durable.negotiation import HOST_ROLE, Capability, Reservation, Reservations
-from pancakes.durable.record import TaskId
+from pancakes.durable.record import Record, TaskId
 from pancakes.durable.store import Records
+from pancakes.durable.times import Times
+from pancakes.errors import PancakesError, describe
 from pancakes.kernel.actor import ActorCore
 from pancakes.kernel.kernel import Kernel
 from pancakes.kernel.mailbox import Reference, tell
@@ -34,6 +34,8 @@ from pancakes.packet import Packet, join
 
 if TYPE_CHECKING:
     import psutil
+
+    from pancakes.durable.reload_types import NewVersion
 
 
 class MeasuredLoad(msgspec.Struct, frozen=True):
@@ -165,6 +167,40 @@ class Imported(msgspec.Struct, frozen=True):
     waiting: Any
 
 
+class ImportAgain(msgspec.Struct, frozen=True):
+    """Asks the importer for the version of a task type that is on disk.
+
+    Attributes:
+        asker: the actor that gets the answer, `ImportedAgain`.
+        type: the task type.
+    """
+
+    asker: Reference
+    type: str
+
+
+class ImportedAgain(msgspec.Struct, frozen=True):
+    """The version that is on disk is imported beside the one in use, or cannot be.
+
+    Attributes:
+        version: it; None: it cannot be had.
+        refusal: why not; None: it is there.
+    """
+
+    version: NewVersion | None
+    refusal: Refusal | None
+
+
+def import_again(installed: Installed, type_name: str) -> ImportedAgain:
+    """Import the version of a task type that is on disk. May take long."""
+    try:
+        return ImportedAgain(installed.prepare(type_name), None)
+    except PancakesError as error:
+        return ImportedAgain(None, Refusal.of(error))
+    except Exception as error:  # finders and metadata of others may raise anything
+        return ImportedAgain(None, Refusal("failed", f"{type_name} cannot be imported again: {describe(error)}"))
+
+
 class Importer(ActorCore):
     """Imports task types in a thread of its own: the actors that answer other agents, and keep leases, wait for none.
 
@@ -181,6 +217,9 @@ class Importer(ActorCore):
         self._installed = installed
 
     def take_message(self, message: Any) -> Any:
+        if isinstance(message, ImportAgain):
+            tell(message.asker, import_again(self._installed, message.type))
+            return None
         if not isinstance(message, Import):
             return super().take_message(message)
         self._installed.version_of(message.type)
@@ -188,6 +227,8 @@ class Importer(ActorCore):
         return None
 
 
+RESERVE_FRESH_S: Final = 60.0
+"""A reserve that is older does not count: the robot may have used it up."""
 MOST_SLOTS: Final = 64
 """Most slots that are kept for the tasks of one peer."""
 
@@ -202,15 +243,19 @@ class OwnReadings:
 
     Attributes:
         newest: the body of the newest reading, by device type.
+        reserve_s: when the newest `reserve` was published, in mission time.
     """
 
     def __init__(self, agent: str) -> None:
         self._prefix = f"{agent}/"
         self.newest: dict[str, Any] = {}
+        self.reserve_s = 0.0
 
     def take(self, packet: Packet) -> None:
         """Keep a reading, unless it is from another agent. In its publisher's thread."""
         if packet.source.startswith(self._prefix):
+            if packet.type == "reserve":
+                self.reserve_s = packet.stamp_s
             self.newest[packet.type] = packet.body
 
 
@@ -233,7 +278,6 @@ class HostState:
         negotiated: the tasks for which the Task Migrator compares bids.
         shortest_lease: the task with the shortest lease that this agent guards, as the guardian says; None: it guards
             none.
-        register_of: returns what this agent has on disk as a guardian of a task; None: nothing.
     """
 
     def __init__(
@@ -254,14 +298,26 @@ class HostState:
         self.readings = OwnReadings(kernel.agent)
         self.measured: MeasuredLoad | None = None
         self.negotiated: tuple[TaskId, ...] = ()
-        self.shortest_lease: GuardRegister | None = None
-        self.register_of: Callable[[TaskId], GuardRegister | None] = lambda task_id: None
+        self.shortest_lease: Record | None = None
 
     @property
     def battery_level(self) -> float | None:
         """What is left of this agent's battery, from 0 to 1, as it last said; None before that."""
         battery = self.readings.newest.get("battery")
         return battery.level if battery is not None else None
+
+    @property
+    def energy_reserve(self) -> Any:
+        """The newest `Reserve` of this agent; None: there has been none for a minute of mission time."""
+        fresh = abs(self._kernel.now() - self.readings.reserve_s) <= RESERVE_FRESH_S  # a clock that was set back
+        return self.readings.newest.get("reserve") if fresh else None
+
+    def known_readings(self) -> dict[str, Any]:
+        """Return the newest readings by device type, without a reserve that is too old."""
+        readings = dict(self.readings.newest)
+        if self.energy_reserve is None:
+            readings.pop("reserve", None)
+        return readings
 
     # What the services keep true -------------------------------------------------------------------------------
 
@@ -270,28 +326,30 @@ class HostState:
         with self._lock:
             self._hosting[service] = None
 
-    def reserve(self, peer: str, message: Reserve) -> Refusal | None:
-        """Keeps a slot for a task that is about to come; returns why it cannot, None if it does."""
-        now_s, task_id = self._kernel.host.now(), message.task_id
-        if message.request.task_id != task_id:
-            other_task = f"was asked for a place for {task_id} and told of {message.request.task_id}"
-            return Refusal("invalid", other_task)
+    def reserve(self, peer: str, request: Solicit) -> Refusal | None:
+        """Keep a slot for a task that is about to come; return why it cannot, None if it does."""
+        now_s, task_id = self._kernel.host.now(), request.task_id
         with self._lock:
             other_peer = self._reservations.peer_of(task_id, now_s)
             if other_peer not in ("", peer):
-                return Refusal("conflict", f"keeps a place for it for {other_peer}")
+                return Refusal("conflict", f"keeps room for it for {other_peer}")
         self.free(task_id)
-        if refusal := self.refusal_of(peer, message.request):
+        if refusal := self.refusal_of(peer, request):
             return refusal
         with self._lock:
             if self._reservations.number(peer, now_s) >= MOST_SLOTS:
-                return Refusal("busy", f"keeps {MOST_SLOTS} places for tasks of {peer} already", Times().slot_s)
+                return Refusal("busy", f"keeps room for {MOST_SLOTS} tasks of {peer} already", Times().slot_s)
             # Another service may have kept the name since.
             for other in self._reservations.kept(now_s):
                 if other.name == task_id.name and other != task_id:
                     return Refusal("conflict", f"has a task named {task_id.name} already ({other})")
-            self._reservations.keep(task_id, Reservation(peer, message.offer, now_s + Times().slot_s))
+            self._reservations.keep(task_id, Reservation(peer, now_s + Times().slot_s))
         return None
+
+    def is_expected(self, peer: str, task_id: TaskId) -> bool:
+        """Return whether room is kept for a task of an agent."""
+        with self._lock:
+            return self._reservations.peer_of(task_id, self._kernel.host.now()) == peer
 
     def free(self, task_id: TaskId) -> None:
         """Gives the slot for a task up, if there is one: it has arrived, or does not come."""
@@ -348,6 +406,7 @@ class HostState:
         holder = self._holder_of(request.task_id.name)
         version, fault = self._installed.version_of(request.type), self._installed.fault_of(request.type)
         recorded = self._records.service_of(request.task_id)
+        reserve = self.energy_reserve
         capability = Capability(
             role=self._role,
             devices=tuple(registry.device_types()),
@@ -358,6 +417,7 @@ class HostState:
             names={holder.name: holder} if holder is not None else {},
             costs=tuple(self.costs()),
             battery_level=self.battery_level,
+            reserve_s=reserve.seconds if reserve is not None else None,
         )
         return capability.refusal_of(request) or Refusal.if_any(self._taken(request), "conflict")
 
@@ -381,6 +441,8 @@ class HostState:
         for device in registry.devices():
             if not device.actuator or device.type not in request.requires:
                 continue
+            if (loan := registry.loan(device.name)) is not None:
+                return loan.why
             holder = registry.holder(device.name)
             if holder:
                 return f"{device.name} is held by {holder}"
@@ -418,4 +480,6 @@ class HostState:
         load = msgspec.to_builtins(measured) if measured is not None else None
         syncs, written_bytes = self._kernel.disk_use()
         disk = {"syncs": syncs, "written_bytes": written_bytes}
-        return {"load": load, "battery_level": self.battery_level, "disk": disk}
+        told = self.energy_reserve
+        reserve = msgspec.to_builtins(told) if told is not None else None
+        return {"load": load, "battery_level": self.battery_level, "reserve": reserve, "disk": disk}

@@ -1,13 +1,11 @@
-"""What the parts of a hosting service share: the place of each task, the service itself, and talk to peers.
+"""What the parts of a hosting service share: the place of each task, and the service itself.
 
-A `Place` is everything that a service knows of one task: its slot, its record, its letters, its lease and its pending
-requests. `HostingService` is what the parts may use of the service. `PeerTalk` sends messages to other agents, each
-meant for one disk. Everything here belongs to one actor and needs no lock.
+A `Place` is everything that a service knows of one task: its slot, its record, its letters and its pending requests.
+`HostingService` is what the parts may use of the service. Everything here belongs to one actor and needs no lock.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final, Protocol
 
@@ -16,160 +14,28 @@ import msgspec
 from pancakes.control import Refusal
 from pancakes.durable.bidding_messages import HasMoved
 from pancakes.durable.courier import SharedOutbox
-from pancakes.durable.delivery import STREAMS, Letter
-from pancakes.durable.guarding import Owed, Seizing, Tenure
-from pancakes.durable.handoff_events import PacketId
+from pancakes.durable.delivery import STREAMS, Letter, PacketId
 from pancakes.durable.host_state import HostState
-from pancakes.durable.messages import (
-    AskLease,
-    CanGuard,
-    GuardAnswer,
-    HandOffMessage,
-    KeepLease,
-    LeaseSeen,
-    MayGuard,
-    Message,
-    SeizeTask,
-    Solicit,
-    TakeTask,
-    Transfer,
-    YieldLease,
-    addressed,
-)
-from pancakes.durable.record import Epoch, GuardianId, Record, TaskId
-from pancakes.durable.snapshot import Posted, Snapshot, cut, why_unwritable
-from pancakes.durable.state_machine import AnyEvent, Standing
-from pancakes.errors import MigrationError, PancakesError
-from pancakes.kernel.actor import ActorCore
+from pancakes.durable.messages import Solicit
+from pancakes.durable.reconcile import AnyEvent, Course, Outcome, Write
+from pancakes.durable.record import Record, TaskId
+from pancakes.durable.register import Epoch, Identity
+from pancakes.durable.snapshot import Posted, Snapshot, why_unwritable
+from pancakes.errors import MigrationError
 from pancakes.kernel.dead_letters import MOST_KNOWN
 from pancakes.kernel.handlers import Queue
 from pancakes.kernel.kernel import Kernel
 from pancakes.kernel.mailbox import Reference
-from pancakes.kernel.permits import PermitEnd
 from pancakes.kernel.registry import SettingsNote
-from pancakes.kernel.timer import OneShot, TaskTimer
-from pancakes.mesh.mesh import Mesh
-from pancakes.migration import GuardRule, MigrationReport
-from pancakes.packet import NETWORK, Packet, join
+from pancakes.kernel.timer import TaskTimer
+from pancakes.migration import MigrationReport
+from pancakes.packet import Packet
 from pancakes.supervision.lifecycle import Request
-from pancakes.supervision.messages import GUARDIAN, Carried
+from pancakes.supervision.messages import Carried
 from pancakes.supervision.slots import Slot
 from pancakes.task import Nothing, Task, TaskSpec
 from pancakes.util import codecs
 from pancakes.util.arrays import saved_array
-
-MOST: Final = 256
-"""Of so many peers it is remembered."""
-
-
-class LastSaid:
-    """Remembers what was said last of each peer. One actor."""
-
-    def __init__(self) -> None:
-        self._last: dict[str, int] = {}
-
-    def is_news(self, peer: str, text: str) -> bool:
-        """Returns whether something else was said of a peer last, or nothing."""
-        said = hash(text)  # the peer may have had a part in how long it is
-        is_news = self._last.pop(peer, None) != said
-        self._last[peer] = said
-        if len(self._last) > MOST:
-            del self._last[next(iter(self._last))]
-        return is_news
-
-
-AfterHost = Callable[[float, Callable[[], None]], OneShot]
-
-
-class Deadline:
-    """Calls a function once its time has come, in the actor that it belongs to.
-
-    Args:
-        deadlines: those of that actor.
-        function: what is called.
-
-    Attributes:
-        due_s: when, in host time; infinite: it is not set.
-        function: see above.
-    """
-
-    __slots__ = ("_deadlines", "due_s", "function")
-
-    def __init__(self, deadlines: Deadlines, function: Callable[[], None]) -> None:
-        self._deadlines = deadlines
-        self.function = function
-        self.due_s = math.inf
-
-    def set(self, delay_s: float) -> None:
-        """Sets it to so many seconds of host time from now, instead of any other time."""
-        self._deadlines.set(self, delay_s)
-
-    def cancel(self) -> None:
-        """Makes sure that it does not come."""
-        self._deadlines.cancel(self)
-
-
-class Deadlines:
-    """The deadlines of one actor, which share one timer.
-
-    Putting one off costs nothing: the timer stays as it was, and looks again when it fires. So leases that are renewed
-    all the time take one timer for each lease that passes, and not one for each task and renewal.
-
-    Args:
-        after_host: calls a function in the actor in so many seconds of host time.
-        now: the host clock, in seconds.
-    """
-
-    def __init__(self, after_host: AfterHost, now: Callable[[], float]) -> None:
-        self._after_host = after_host
-        self._now = now
-        self._set: dict[Deadline, None] = {}
-        self._timer: OneShot | None = None
-        self._fires_s = math.inf
-
-    def new(self, function: Callable[[], None]) -> Deadline:
-        """Returns another one, which is not set."""
-        return Deadline(self, function)
-
-    def set(self, deadline: Deadline, delay_s: float) -> None:
-        """See `Deadline`."""
-        deadline.due_s = self._now() + delay_s
-        self._set[deadline] = None
-        if deadline.due_s < self._fires_s:
-            self._start(deadline.due_s, delay_s)
-
-    def cancel(self, deadline: Deadline) -> None:
-        """See `Deadline`."""
-        deadline.due_s = math.inf
-        self._set.pop(deadline, None)
-        if not self._set:
-            self._stop()
-
-    def _start(self, due_s: float, delay_s: float) -> None:
-        self._stop()
-        self._fires_s = due_s
-        self._timer = self._after_host(delay_s, self._fired)
-
-    def _stop(self) -> None:
-        if self._timer is not None:
-            self._timer.cancel()
-        self._timer, self._fires_s = None, math.inf
-
-    def _fired(self) -> None:
-        if self._timer is None:
-            return  # called off after the timer had put this call into the actor's mailbox
-        self._stop()
-        now_s = self._now()
-        due = [it for it in self._set if it.due_s <= now_s]
-        for it in due:
-            del self._set[it]
-        if self._set:
-            due_s = min(it.due_s for it in self._set)
-            self._start(due_s, due_s - now_s)
-        for it in due:
-            if it.due_s <= now_s and it not in self._set:  # one that came before it may have changed it
-                it.due_s = math.inf
-                it.function()
 
 
 class LastCheckpoint(msgspec.Struct, frozen=True):
@@ -217,7 +83,7 @@ def plain_of(carried: Carried) -> bytes:
         MigrationError: its settings or its state cannot be encoded.
     """
     try:
-        return _ENCODE([carried.settings, carried.state, carried.periods_s, carried.heard])
+        return _ENCODE([carried.settings, carried.state, carried.periods_s, carried.heard, carried.requests])
     except codecs.UNENCODABLE as error:
         raise MigrationError(why_unwritable(carried.settings, carried.state, error)) from None
 
@@ -329,86 +195,6 @@ class TaskLetters(msgspec.Struct):
         return sender
 
 
-RULELESS_S: Final = 1.0
-"""How often a task is written down that is to be guarded no longer."""
-
-
-class Tenancy(msgspec.Struct):
-    """A crash forgets all of it.
-
-    Attributes:
-        renewal: asks for leases again.
-        end: the end of the permit.
-        tenure: what its guardians have said.
-        lost_s: since when, in host time, it may not act.
-        type: entry point name of the task's class.
-        rule: how the task is guarded; None: it is to be guarded no longer.
-        until: until when each asking would let the task act, by beat; without those that a quorum has granted.
-        told: the epoch, the checkpoint and the guards that guardians were told of last.
-        bodies: which checkpoint each guardian was sent last, and with which beat.
-        heard_s: when each guardian has said something last, in host time.
-        as_of_s: when the task was known last to be as each of the newest checkpoints says, in host time, by number.
-        owed: packets that are acknowledged once the checkpoint with their effect is at a quorum.
-        stops: of each stop that is not answered yet, the checkpoint that says so, and what answers it, given a fault.
-        answers: what neighbours have said that were asked whether they would guard it.
-        asked_s: when they were asked last, in host time.
-        unsafe: the actuators that people were told of as keeping their last command.
-        thin: whether people were told that it has fewer guardians than it should.
-    """
-
-    renewal: Deadline
-    end: Deadline
-    tenure: Tenure
-    lost_s: float
-    type: str = ""
-    rule: GuardRule | None = None
-    until: dict[int, PermitEnd] = {}
-    told: tuple[Epoch, int, int] | None = None
-    bodies: dict[GuardianId, tuple[int, int]] = {}
-    heard_s: dict[GuardianId, float] = {}
-    as_of_s: dict[int, float] = {}
-    owed: list[Owed] = []
-    stops: list[tuple[int, Callable[[str], None]]] = []
-    answers: dict[str, CanGuard] = {}
-    asked_s: float = -1e9
-    unsafe: frozenset[str] = frozenset()
-    thin: bool = False
-
-    @property
-    def lease_s(self) -> float:
-        """How long its leases are, in host seconds."""
-        return self.rule.lease_s if self.rule is not None else GuardRule(3).lease_s
-
-    @property
-    def checkpoint_s(self) -> float:
-        """How often the task is written down where it has changed, in host seconds."""
-        return self.rule.checkpoint_s if self.rule is not None else RULELESS_S
-
-    @property
-    def number(self) -> int:
-        """How many guardians it is to have."""
-        return self.rule.guard if self.rule is not None else 1
-
-    def cancel(self) -> None:
-        """Ends its timers."""
-        self.renewal.cancel()
-        self.end.cancel()
-
-
-class Taking(msgspec.Struct):
-    """A task that this agent is to take.
-
-    Attributes:
-        seizing: what its guardians have said.
-        until_s: when it is given up, in host time; None: never, as it was given away to this agent.
-        again: asks once more.
-    """
-
-    seizing: Seizing
-    until_s: float | None
-    again: OneShot | None = None
-
-
 class Move(msgspec.Struct):
     """A move that is under way.
 
@@ -417,7 +203,7 @@ class Move(msgspec.Struct):
         then: a task to start here once the other has gone.
         answer: the request to answer; None where a rule asked.
         dry_run: whether nothing is to be moved.
-        ledger: the account as it stands while a hand-off is under way; None before the first, and between two.
+        ledger: the account as it stands while a migration is under way; None before the first, and between two.
     """
 
     request: Solicit
@@ -427,27 +213,25 @@ class Move(msgspec.Struct):
     ledger: MigrationReport | None = None
 
     def take_ledger(self) -> MigrationReport | None:
-        """Returns the account as it stood: the hand-off has come to nothing."""
+        """Returns the account as it stood: the migration has come to nothing."""
         ledger, self.ledger = self.ledger, None
         return ledger
 
 
-class Adoption(msgspec.Struct, frozen=True):
-    """A person has said that the task shall run here; the answer waits until that is decided.
+class Recovery(msgspec.Struct, frozen=True):
+    """A person has decided about a task; the answer waits until that is done.
 
     Attributes:
         request: the request to answer.
         peer: the agent that is gone; empty: the record was lost.
         reason: what was decided, as a sentence.
-        ledger: the account of the hand-off that was in doubt.
-        as_it_stands: whether it is here already, and goes on as it stands.
+        ledger: the account of the migration that was in doubt.
     """
 
     request: Request
     peer: str
     reason: str
     ledger: MigrationReport | None
-    as_it_stands: bool = False
 
 
 class Creation(msgspec.Struct, frozen=True):
@@ -522,6 +306,20 @@ SURE: Final = Unsure()
 """Its agent knows what it must know."""
 
 
+class Pending(msgspec.Struct, frozen=True):
+    """A write that the registrar was told of.
+
+    Attributes:
+        place: the place of its task.
+        write: what it is for, if the machine of the task asked for it; None: something else did.
+        then: hears what became of it; None: the machine does.
+    """
+
+    place: Place
+    write: Write | None = None
+    then: Callable[[Outcome, str], None] | None = None
+
+
 class Place(msgspec.Struct):
     """The place of one task, whether it runs here or has left only its record.
 
@@ -529,55 +327,57 @@ class Place(msgspec.Struct):
 
     Attributes:
         task_id: the task.
+        course: its record, and what is about to be done.
         slot: its slot; None: it has none.
-        standing: its record, and what its hand-off is about to do.
         letters: what is known of the letters that have come for it; None: none has.
         written: what was written down of it last; None: nothing since it began.
         began: what it began from here, as far as letters are concerned; None: it is not owned here.
         looked_s: when the task was known last to be as `written` says, in host time.
-        promised: the agent to which this one said RESERVED last, and its offer; None: to none since it began.
         came_from: the agent that it is on its way from; empty: none.
-        move: the move that was asked for; None: none.
+        move: the migration that was asked for; None: none.
         ask_again_s: its rule leaves it alone until this host time.
-        account: the account of its move, which the Task Migrator has not kept yet; None: there is none.
-        adoption: the adoption that waits for its start; None: none.
-        forgetting: the requests to forget it that wait for the disk.
+        account: the account of its migration, which the Task Migrator has not kept yet; None: there is none.
+        recovery: the decision of a person that waits until it is done; None: none.
         creation: the creation that waits for its start; None: none.
         removal: the request to remove it that waits for its end, or for the disk; None: none.
         follows: the task that it is started after; None: none.
-        permit: of a guarded task: whether it may act, as far as its service has looked; its actor looks at the clock.
-        tenancy: of a guarded task that is owned here: what its guardians have said; None: it is none.
-        taking: what guardians have said of a task that this agent is to take; None: it is to take none.
         other: the agent that said of all others that it owns it under the highest epoch; None: none has said so.
-        unsure: why it does not run, where this agent does not know what it must know.
+        unsure: why it does not run, if this agent does not know what it must know.
         unwritable: whether what it carries could not be written down when it was last looked at.
-        reminders: the timers that its hand-off waits for, by the event that each feeds.
+        unsafe: the actuators that people were told of as keeping their last command.
+        held: whether its actuators are held, as it may not act.
     """
 
     task_id: TaskId
-    standing: Standing
+    course: Course
     slot: Slot | None = None
     letters: TaskLetters | None = None
     written: LastCheckpoint | None = None
     began: BeganFrom | None = None
     looked_s: float = 0.0
-    promised: tuple[str, Epoch] | None = None
     came_from: str = ""
     move: Move | None = None
     ask_again_s: float = 0.0
     account: HasMoved | None = None
-    adoption: Adoption | None = None
-    forgetting: tuple[Request, ...] = ()
+    recovery: Recovery | None = None
     creation: Creation | None = None
     removal: Request | None = None
     follows: TaskId | None = None
-    permit: bool = False
-    tenancy: Tenancy | None = None
-    taking: Taking | None = None
     other: OtherOwner | None = None
     unsure: Unsure = SURE
     unwritable: bool = False
-    reminders: dict[type, OneShot] = msgspec.field(default_factory=dict)
+    unsafe: frozenset[str] = frozenset()
+    held: bool = False
+
+    @property
+    def record(self) -> Record:
+        """What is on disk."""
+        return self.course.record
+
+    @property
+    def idle(self) -> bool:
+        """Whether nothing is being written, and no migration is under way: a checkpoint may be."""
+        return self.course.settled
 
     @property
     def owes(self) -> bool:
@@ -591,26 +391,30 @@ class Places(dict[TaskId, Place]):
     To look up a task that the service has never heard of makes a place for it.
 
     Args:
-        agent: the agent's name.
+        me: the agent as an owner of tasks.
         slots: the service's slots, by the names of tasks.
 
     Attributes:
         at: the place that each slot belongs to, by the name of the task.
     """
 
-    def __init__(self, agent: str, slots: Mapping[str, Slot]) -> None:
+    def __init__(self, me: Identity, slots: Mapping[str, Slot]) -> None:
         super().__init__()
         self.at: dict[str, Place] = {}
-        self._agent = agent
+        self._me = me
         self._slots = slots
         self._by_name: dict[str, list[Place]] = {}
 
     def __missing__(self, task_id: TaskId) -> Place:
-        return self.open(Record(task_id))
+        return self.open(Record(task_id, me=self._me))
+
+    def unkept(self, task_id: TaskId) -> Place:
+        """Return a place for a task of which nothing is known, without keeping it."""
+        return Place(task_id, Course(Record(task_id, me=self._me)))
 
     def open(self, record: Record) -> Place:
         """Makes a place for a task of which there is a record."""
-        place = Place(record.task_id, Standing(record))
+        place = Place(record.task_id, Course(record))
         self.keep(place)
         return place
 
@@ -637,8 +441,8 @@ class Places(dict[TaskId, Place]):
         if slot is None:
             self.at.pop(name, None)
             return
-        here = [place for place in self._by_name.get(name, ()) if place.standing.leaving or place.standing.record.here]
-        place = here[0] if here else self[TaskId(self._agent, name)]
+        here = [place for place in self._by_name.get(name, ()) if place.course.leaving or place.record.here]
+        place = here[0] if here else self[TaskId(self._me.agent, name)]
         place.slot = slot
         self.at[name] = place
 
@@ -646,6 +450,8 @@ class Places(dict[TaskId, Place]):
 class HostingService(Reference, Protocol):
     """A service that hosts tasks. All in its actor."""
 
+    me: Identity
+    boot: int
     kernel: Kernel
     slots: dict[str, Slot]
     places: Places
@@ -674,8 +480,20 @@ class HostingService(Reference, Protocol):
 
     def admit(self, slot: Slot) -> str: ...
 
-    def first_guardian(self, place: Place, snapshot: bytes = b"") -> GuardianId | None:
-        """Returns the first guardian of a task that begins here: this agent; None: the task is not guarded."""
+    def tell_registrar(
+        self,
+        place: Place,
+        event: Any,
+        then: Callable[[Outcome, str], None] | None = None,
+        *,
+        write: Write | None = None,
+        sequel: bytes = b"",
+        is_checkpoint: bool = False,
+    ) -> None:
+        """Feed an event to the register of a task."""
+
+    def on_disk(self, place: Place, packet: PacketId) -> None:
+        """A letter, and all before it in its stream, have had their effect for good."""
 
     def connected(self, agent: str) -> bool:
         """Returns whether there is a link to an agent now."""
@@ -699,66 +517,3 @@ class HostingService(Reference, Protocol):
     def call(self, function: Callable[[], None]) -> Any: ...
 
     def after_host(self, delay_s: float, function: Callable[[], None]) -> Any: ...
-
-
-ToGuardian = KeepLease | SeizeTask | YieldLease | AskLease
-ToPeer = Message | ToGuardian | MayGuard | GuardAnswer | LeaseSeen | CanGuard | TakeTask
-
-
-class PeerTalk:
-    """Sends messages to actors of other agents, or of this one; each may be lost. All in one actor.
-
-    Args:
-        speaker: that actor.
-        mesh: knows this agent's journal, and the neighbours with theirs.
-
-    Attributes:
-        me: this agent as a guardian: its name, the id of its journal, and which copy of that it has.
-        boot: which life of this agent this is.
-    """
-
-    def __init__(self, speaker: ActorCore | HostingService, mesh: Mesh) -> None:
-        self.me = GuardianId(speaker.agent, mesh.identity.journal, mesh.identity.copy)
-        self.boot = mesh.identity.boot
-        self._speaker = speaker
-        self._mesh = mesh
-
-    def neighbours(self) -> list[str]:
-        """Returns the agents that are linked and have a journal."""
-        return [name for name, hello in self._mesh.connected().items() if hello.journal]
-
-    def to_guardian(self, guardian: GuardianId, message: ToGuardian) -> None:
-        """Sends a message to a guardian, on this agent or another one."""
-        self.say(guardian.agent, GUARDIAN, message, guardian.journal)
-
-    def connected(self, agent: str) -> bool:
-        """Returns whether there is a link to an agent now."""
-        return agent in self._mesh.connected()
-
-    def hand_off(self, agent: str, message: HandOffMessage) -> None:
-        """Sends a hand-off message to the service of the same name on another agent; a snapshot in pieces."""
-        for part in cut(message) if isinstance(message, Transfer) else (message,):
-            self.say(agent, self._speaker.name, part)
-
-    def say(self, agent: str, actor: str, message: ToPeer, journal: str = "") -> None:
-        """Sends a message to an actor of an agent.
-
-        Args:
-            agent: the agent, which may be this one. Where it is not linked, and not known, nothing is sent.
-            actor: the address of the actor there, without the agent's name.
-            message: the message.
-            journal: the id of the journal that the agent is to have; empty: that which it has now.
-        """
-        known = self.me.journal
-        if agent != self.me.agent:
-            hello = self._mesh.connected().get(agent)
-            if hello is not None:
-                known = hello.journal
-            else:  # it may be known, and the message waits for a link where the disk is known as well
-                known = journal if self._mesh.seek(agent) else ""
-        if not known or journal not in ("", known):
-            return
-        try:
-            self._speaker.publish(NETWORK, addressed(message, known), to=join(agent, actor))
-        except PancakesError as error:
-            self._speaker.log("debug", f"{type(message).__name__} of {message.task_id} did not reach {agent}: {error}")

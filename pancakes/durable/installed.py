@@ -4,11 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from contextlib import suppress
+from typing import TYPE_CHECKING
 
 from pancakes.errors import PluginError
 from pancakes.migration import Cost
 from pancakes.task import Task
 from pancakes.util.plugins import Plugins, UnknownPluginError
+
+if TYPE_CHECKING:
+    from pancakes.durable.reload_types import NewVersion
 
 
 class Installed:
@@ -30,6 +34,16 @@ class Installed:
         """
         cls = self._plugins.get("pancakes.tasks", type_name)
         return cls, self._plugins.version("pancakes.tasks", type_name).version
+
+    def prepare(self, type_name: str) -> NewVersion:
+        """Import the version of a task type's distribution that is on disk; see `reload_types.prepare`. May take long.
+
+        Raises:
+            PancakesError: it cannot be imported, or not replaced; the message says why.
+        """
+        from pancakes.durable.reload_types import prepare  # few agents are ever asked
+
+        return prepare(self._plugins, type_name)
 
     def at_hand(self, type_name: str) -> bool:
         """Returns whether a question about a task type is answered without an import."""

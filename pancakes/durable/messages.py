@@ -1,26 +1,40 @@
-"""The packets of bidding, of the hand-off, and between owners, takers and guardians. Pure.
+"""The packets by which agents decide which of them has a durable task. Pure.
 
-Each is the body of a packet on `network`. Bids go between the `network/TaskMigrator` actors of two agents, hand-off
-messages between two services of the same name, and guard messages between such a service and a `kernel/Guardian`. The
-network may lose, double, reorder and delay all of them.
+Each is the body of a packet on `network`. `Solicit`, `Bid` and `Refuse` go between the Task Migrators of two agents,
+all others between their registrars. The network may lose, double, reorder and delay all of them. The rules that they
+feed are in `rules`, whose messages they carry.
 
 `journal` is the id of the receiver's journal, as far as the sender knows it. An agent that lost its disk has a new
-journal, so it ignores what was meant for its former self. The pure cores leave the field empty: `addressed` fills it
-in on the way out, and `is_for` checks it on the way in. `choose` picks guardians from what neighbours have answered.
+journal, so it ignores what was meant for its former self. `addressed` fills the field in on the way out, and `is_for`
+checks it on the way in.
 """
 
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable
-from typing import Annotated, Final, NamedTuple, Protocol, TypeVar
+from typing import Annotated, Final, Protocol, TypeVar
 
 import msgspec
 from msgspec.structs import replace
 
 from pancakes.control import Refusal
-from pancakes.durable.record import NO_EPOCH, NO_GUARDS, Epoch, GuardianId, Guards, TaskId, Wanted
+from pancakes.durable.record import TaskId
+from pancakes.durable.register import NOBODY, Epoch, Identity, Number, Register, Sets, Stamp
 from pancakes.migration import CostChoice
 from pancakes.packet import packet_type
+
+REGISTRAR: Final = "kernel/Registrar"
+"""Where on each agent the registrar is."""
+MOST_ASKED: Final = 256
+"""At most this many tasks are named in one packet."""
+SHORTEST_LEASE_S: Final = 0.5
+LONGEST_LEASE_S: Final = 3600.0
+MOST_AGE_S: Final = 1e9
+LeaseSeconds = Annotated[float, msgspec.Meta(ge=SHORTEST_LEASE_S, le=LONGEST_LEASE_S)]
+AgeSeconds = Annotated[float, msgspec.Meta(ge=0.0, le=MOST_AGE_S)]
+_Name = Annotated[str, msgspec.Meta(max_length=256)]
+
+# Bids ---------------------------------------------------------------------------------------------------------------
 
 
 @packet_type("migration.solicit")
@@ -35,10 +49,13 @@ class Solicit(msgspec.Struct, frozen=True):
         service: name of the service that looks after it, here and there.
         requires: the device types that it depends on.
         cost: name of the cost function to use, or the weight of each of several.
-        moves_on_below: battery level below which the task would have to move on at once; None where it has
-            no such rule.
-        offer: what bidders are told of the task (`Snapshot.offer`), where the cost function is none of the core's.
+        moves_on_below: battery level below which the task would have to move on at once; None: it has no such rule.
+        offer: what bidders are told of the task (`Snapshot.offer`), if the cost function is none of the core's.
+        hold: whether the neighbour made the lowest bid: it keeps room for the task, and its actuators, for some
+            seconds.
         journal: see the module's text.
+        least_reserve_s: reserve below which the task would have to move on at once, in seconds; None: it has no such
+            rule.
     """
 
     task_id: TaskId
@@ -50,7 +67,9 @@ class Solicit(msgspec.Struct, frozen=True):
     cost: CostChoice = "tasks"
     moves_on_below: float | None = None
     offer: bytes = b""
+    hold: bool = False
     journal: str = ""
+    least_reserve_s: float | None = None
 
 
 @packet_type("migration.bid")
@@ -60,18 +79,26 @@ class Bid(msgspec.Struct, frozen=True):
     Attributes:
         cost: what it would cost; the cheapest wins.
         terms: what the cost is made of.
+        holds: whether room is kept for the task.
+        by: then, the agent with its disk.
     """
 
     task_id: TaskId
     ask: int
     cost: float
     terms: dict[str, float]
+    holds: bool = False
+    by: Identity = NOBODY
     journal: str = ""
 
 
 @packet_type("migration.refuse")
 class Refuse(msgspec.Struct, frozen=True):
-    """Declines to take a task, and says why."""
+    """Declines to take a task, and says why. To a registrar: the heir declines what it was offered.
+
+    Attributes:
+        ask: the number of the asking, or of the write that offers the task.
+    """
 
     task_id: TaskId
     ask: int
@@ -79,34 +106,43 @@ class Refuse(msgspec.Struct, frozen=True):
     journal: str = ""
 
 
-@packet_type("migration.reserve")
-class Reserve(msgspec.Struct, frozen=True):
-    """Tells the winner; it checks again whether it can, and keeps a slot for a few seconds.
+# The rules of a register --------------------------------------------------------------------------------------------
+
+
+@packet_type("task.accept")
+class Accept(msgspec.Struct, frozen=True):
+    """The owner's write, for its members, its heir and the former owner; see `rules.Accept`.
 
     Attributes:
-        request: what was solicited, so that the winner needs no memory of having bid.
+        task_id: the task.
+        type: entry point name of its class.
+        service: the service that looks after it.
+        register: the write, without its state.
+        beat: the request for a lease that goes with it; 0: none.
+        lease_s: how long a lease is, in host seconds, from the arrival of this.
+        to: the heir that is told alone so far.
+        state: the state, encoded; None: the receiver has it, as far as the sender knows, or it comes in pieces.
+        age_s: how long ago the owner knew that the task is as its state says, in host seconds.
     """
 
     task_id: TaskId
-    offer: Epoch
-    request: Solicit
+    type: _Name
+    service: _Name
+    register: Register
+    beat: int = 0
+    lease_s: LeaseSeconds = SHORTEST_LEASE_S
+    to: Identity = NOBODY
+    state: bytes | None = None
+    age_s: AgeSeconds = 0.0
     journal: str = ""
 
 
-@packet_type("migration.reserved")
-class Reserved(msgspec.Struct, frozen=True):
-    """Says that a slot is kept for the task."""
-
-    task_id: TaskId
-    offer: Epoch
-    journal: str = ""
-
-
-@packet_type("migration.transfer")
+@packet_type("task.piece")
 class Piece(msgspec.Struct, frozen=True):
-    """A part of a snapshot on its way (see `pieces`).
+    """A part of a large state on its way (see `snapshot.Assembly`).
 
     Attributes:
+        stamp: which write the state is of.
         index: which part it is, from 0.
         count: how many there are.
         size_bytes: length of the whole.
@@ -115,7 +151,7 @@ class Piece(msgspec.Struct, frozen=True):
     """
 
     task_id: TaskId
-    offer: Epoch
+    stamp: Stamp
     index: int
     count: int
     size_bytes: int
@@ -124,295 +160,186 @@ class Piece(msgspec.Struct, frozen=True):
     journal: str = ""
 
 
-@packet_type("migration.nak")
-class Nak(msgspec.Struct, frozen=True):
-    """Declines a reservation or a snapshot; the task stays with its source."""
-
-    task_id: TaskId
-    offer: Epoch
-    refusal: Refusal
-    journal: str = ""
-
-
-@packet_type("migration.prepared")
-class Prepared(msgspec.Struct, frozen=True):
-    """Says that the snapshot is on the destination's disk, dormant."""
-
-    task_id: TaskId
-    offer: Epoch
-    journal: str = ""
-
-
-@packet_type("migration.commit")
-class Commit(msgspec.Struct, frozen=True):
-    """Gives the task away. The source never takes it back after this.
+@packet_type("task.accepted")
+class Accepted(msgspec.Struct, frozen=True):
+    """A member or heir has the owner's write `no` on disk, and grants the lease for `beat`.
 
     Attributes:
-        guards: the guardians of a guarded task: the receiver asks them for their pledges before it owns the task.
-        yields: of a guarded task: the epoch under which the source had it.
-        no: of a guarded task: the number of the checkpoint that was sent.
+        by: the member.
+        told: the newest write of that epoch that it was told of, also if it has no room for it; -1: none.
     """
 
     task_id: TaskId
-    offer: Epoch
-    guards: Guards = NO_GUARDS
-    yields: Epoch = NO_EPOCH
-    no: int = 0
-    journal: str = ""
-
-
-@packet_type("migration.activated")
-class Activated(msgspec.Struct, frozen=True):
-    """Says that the destination owns the task, on disk."""
-
-    task_id: TaskId
-    offer: Epoch
-    journal: str = ""
-
-
-@packet_type("migration.abort")
-class Abort(msgspec.Struct, frozen=True):
-    """Takes an offer back that was never committed."""
-
-    task_id: TaskId
-    offer: Epoch
-    journal: str = ""
-
-
-@packet_type("migration.unknown")
-class Unknown(msgspec.Struct, frozen=True):
-    """Says that the sender has no memory of an offer that it must have known: its disk was lost."""
-
-    task_id: TaskId
-    offer: Epoch
-    journal: str = ""
-
-
-class Transfer(msgspec.Struct, frozen=True):
-    """A whole snapshot on its way. It travels as `Piece`s and is put together again by an `Assembly`.
-
-    Attributes:
-        snapshot: the encoded snapshot.
-    """
-
-    task_id: TaskId
-    offer: Epoch
-    snapshot: bytes
-
-
-Message = Solicit | Bid | Refuse | Reserve | Reserved | Piece | Nak | Prepared | Commit | Activated | Abort | Unknown
-"""What travels."""
-
-HandOffMessage = Reserve | Reserved | Transfer | Nak | Prepared | Commit | Activated | Abort | Unknown
-"""What the hand-off's core sends and receives; each has a `task_id`."""
-
-_M = TypeVar("_M", bound=msgspec.Struct)
-
-
-class ForJournal(Protocol):
-    """A message that is meant for an agent with one journal, and none that it had before."""
-
-    @property
-    def journal(self) -> str: ...
-
-
-def addressed(message: _M, journal: str) -> _M:
-    """Returns the message, meant for the agent whose journal has the id `journal`."""
-    return replace(message, journal=journal)
-
-
-def is_for(message: ForJournal, journal: str) -> bool:
-    """Returns whether the agent whose journal has the id `journal` may believe the message."""
-    return message.journal == journal
-
-
-SHORTEST_LEASE_S: Final = 0.5
-LONGEST_LEASE_S: Final = 3600.0
-MOST_AGE_S: Final = 1e9
-LeaseSeconds = Annotated[float, msgspec.Meta(ge=SHORTEST_LEASE_S, le=LONGEST_LEASE_S)]
-
-
-class CheckpointId(NamedTuple):
-    """Names a checkpoint of a task; the later is the newer.
-
-    Attributes:
-        epoch: the epoch under which it was written.
-        no: the how-manieth it is under that epoch.
-    """
-
     epoch: Epoch
-    no: int
+    by: Identity
+    beat: int
+    no: Number
+    told: Number = -1
+    journal: str = ""
 
 
-NO_CHECKPOINT: Final = CheckpointId(NO_EPOCH, 0)
+@packet_type("task.prepare")
+class Prepare(msgspec.Struct, frozen=True):
+    """An agent asks members for their promises; see `rules.Prepare`."""
+
+    task_id: TaskId
+    type: _Name
+    epoch: Epoch
+    held: Stamp
+    sets: Sets
+    journal: str = ""
 
 
-class CheckpointBody(msgspec.Struct, frozen=True):
-    """What a checkpoint consists of.
+@packet_type("task.promise")
+class Promise(msgspec.Struct, frozen=True):
+    """A member follows no epoch lower than this one any more.
 
     Attributes:
-        snapshot: the task, encoded.
-        wanted: what is wanted of it.
+        register: what it holds, without the state.
+        state: the state; None: it has none, or it comes in pieces.
+        pieces: whether the state comes in pieces.
     """
 
-    snapshot: bytes
-    wanted: Wanted = Wanted.RUNNING
+    task_id: TaskId
+    epoch: Epoch
+    by: Identity
+    register: Register
+    state: bytes | None = None
+    pieces: bool = False
+    journal: str = ""
 
 
-@packet_type("guard.keep")
-class KeepLease(msgspec.Struct, frozen=True):
-    """The owner asks a guardian for a lease, and for its memory.
+# What others know ---------------------------------------------------------------------------------------------------
+
+
+class Fact(msgspec.Struct, frozen=True):
+    """What an agent knows of a task.
 
     Attributes:
         task_id: the task.
-        type: entry point name of its class.
-        epoch: the epoch under which the sender owns it.
-        beat: the how-manieth asking this is since the owner began; the answer repeats it.
-        lease_s: for so long the guardian lets no other agent take the task, in host seconds from the arrival of this.
-        checkpoint: the newest checkpoint.
-        guards: the guardians.
-        body: that checkpoint; None: the guardian has it, as far as the owner knows.
-        age_s: how long ago the owner knew that the task is as that checkpoint says, in host seconds.
-        journal: see the module's text.
+        register: its register, without the state.
+        lease: whether a lease runs that it has granted.
+        acts: if the agent owns the task: whether it may act now.
+        age_s: how old the checkpoint was that it holds when the owner was heard last; None: that is not known.
+        called: the agent that it has called to take the task; empty: none.
+        gave: the agent to which it gave the task, or promised it as its owner; empty: none.
     """
 
     task_id: TaskId
-    type: str
-    epoch: Epoch
-    beat: int
-    lease_s: LeaseSeconds
-    checkpoint: CheckpointId
-    guards: Guards
-    body: CheckpointBody | None = None
-    age_s: Annotated[float, msgspec.Meta(ge=0.0, le=MOST_AGE_S)] = 0.0
-    journal: str = ""
+    register: Register
+    lease: bool = False
+    acts: bool = False
+    age_s: AgeSeconds | None = None
+    called: _Name = ""
+    gave: _Name = ""
+
+    @property
+    def epoch(self) -> Epoch:
+        """The highest epoch that is known."""
+        return max(self.register.epoch, self.register.promised)
+
+    @property
+    def owner(self) -> str:
+        """The agent that has the task, as far as that is known; empty: it was removed, or that is not known."""
+        if self.removed:
+            return ""
+        register = self.register
+        is_given = register.promised > register.epoch and register.promised.minter.agent == self.gave
+        return self.gave if is_given else register.owner.agent
+
+    def at(self, by: str) -> str:
+        """Return the agent that has the task, if the one that says this must know: itself, or one to which it gave it.
+
+        All else that it knows is by the word of others, who may have no right to the task.
+        """
+        return "" if self.removed else self.gave or (by if self.owner == by else "")
+
+    @property
+    def removed(self) -> bool:
+        """Whether the task was removed, and is nowhere."""
+        return self.register.wanted.value == "removed"
 
 
-@packet_type("guard.kept")
-class LeaseKept(msgspec.Struct, frozen=True):
-    """The guardian grants the lease; what it names is on its disk.
+_Asked = Annotated[tuple[TaskId, ...], msgspec.Meta(max_length=MOST_ASKED)]
+
+
+@packet_type("task.who_has")
+class WhoHas(msgspec.Struct, frozen=True):
+    """Asks what an agent knows of tasks. The one question; `Known` is the one answer.
 
     Attributes:
-        epoch: the epoch of the owner.
-        guardian: the guardian that says so.
-        beat: which asking this answers.
-        no: the newest checkpoint under that epoch that the guardian has; -1: none.
-        version: the newest version of the guards of that epoch that it has; -1: none.
-        boot: in which life of its agent it says so.
-        told: the newest checkpoint under that epoch that it was told of in that life, also where it has no room for it;
-            -1: none.
+        task_ids: the tasks.
+        silent: whether a member asks because the owner is silent: it looks for another one.
     """
 
-    task_id: TaskId
-    epoch: Epoch
-    guardian: GuardianId
-    beat: int
-    no: int
-    version: int
-    boot: int = 0
-    told: int = -1
-    journal: str = ""
+    task_ids: _Asked
+    silent: bool = False
 
 
-@packet_type("guard.seize")
-class SeizeTask(msgspec.Struct, frozen=True):
-    """An agent that is to take the task asks a guardian for its pledge.
+@packet_type("task.known")
+class Known(msgspec.Struct, frozen=True):
+    """What an agent knows of tasks: an answer, a refusal, or news at a new link.
+
+    Attributes:
+        by: the agent.
+        task_ids: the tasks that were asked about.
+        facts: what it knows; of the other tasks nothing.
+    """
+
+    by: Identity
+    task_ids: _Asked
+    facts: Annotated[tuple[Fact, ...], msgspec.Meta(max_length=MOST_ASKED)]
+
+
+@packet_type("task.boot")
+class BootRemembered(msgspec.Struct, frozen=True):
+    """Tells an agent that its disk is an old copy, as the sender remembers a later boot of its journal.
+
+    Attributes:
+        boot_journal: the id of that journal.
+        number: the latest boot that the sender remembers.
+        life: what was drawn at it.
+    """
+
+    boot_journal: Annotated[str, msgspec.Meta(max_length=64)]
+    number: int
+    life: Annotated[str, msgspec.Meta(max_length=64)]
+
+
+# Members ------------------------------------------------------------------------------------------------------------
+
+
+@packet_type("task.call")
+class Call(msgspec.Struct, frozen=True):
+    """A member tells an agent to take a task whose owner is silent: it made the lowest bid. No safety hangs on it.
 
     Attributes:
         type: entry point name of the task's class.
-        epoch: the epoch under which the sender is to own it; it has minted it itself.
-        guards: the guardians, as far as the sender knows them.
+        service: the service that is to look after it.
+        floor: the highest epoch that any member follows, as far as is known.
+        sets: the members.
+        silent_s: for how long the owner has been silent, in host seconds.
     """
 
     task_id: TaskId
-    type: str
-    epoch: Epoch
-    guards: Guards
+    type: _Name
+    service: _Name
+    floor: Epoch
+    sets: Sets
+    silent_s: AgeSeconds = 0.0
     journal: str = ""
 
 
-@packet_type("guard.pledge")
-class Pledge(msgspec.Struct, frozen=True):
-    """The guardian follows no lower epoch any more, and tells what it remembers.
-
-    Attributes:
-        epoch: the epoch that it has promised itself to.
-        guardian: the guardian that says so.
-        checkpoint: the newest checkpoint that it has.
-        guards: the newest guards that it knows.
-        body: that checkpoint; None: it has none.
-    """
-
-    task_id: TaskId
-    epoch: Epoch
-    guardian: GuardianId
-    checkpoint: CheckpointId
-    guards: Guards
-    body: CheckpointBody | None
-    journal: str = ""
-
-
-@packet_type("guard.deny")
-class DenyLease(msgspec.Struct, frozen=True):
-    """The guardian grants nothing: it has promised itself to a later epoch, or a lease runs. A hint, and no more.
-
-    Attributes:
-        epoch: the epoch of which it was asked.
-        guardian: the guardian that says so.
-        promised: the highest epoch that it has promised itself to.
-        reason: why, as a sentence.
-    """
-
-    task_id: TaskId
-    epoch: Epoch
-    guardian: GuardianId
-    promised: Epoch
-    reason: str
-    journal: str = ""
-
-
-@packet_type("guard.yield")
-class YieldLease(msgspec.Struct, frozen=True):
-    """The owner does nothing more until it has asked for a lease again, or has given the task away: its lease may end.
-
-    Attributes:
-        epoch: the epoch under which it owned the task.
-        beat: the number of its last asking; a lease that was granted on a later one does not end.
-        boot: in which life of its agent the guardian was heard last; one that has begun anew since cannot know on which
-            asking it granted what, so the lease does not end.
-        given: whether it has given the task to another agent, or is frozen for one, which is about to ask.
-    """
-
-    task_id: TaskId
-    epoch: Epoch
-    beat: int
-    boot: int
-    journal: str = ""
-    given: bool = False
-
-
-GuardAnswer = LeaseKept | Pledge | DenyLease
-"""What a guardian says."""
-
-
-LONG_UP_S = 600.0
-"""An agent that has been up for so long counts as stable."""
-
-
-@packet_type("guard.ask")
+@packet_type("task.may_guard")
 class MayGuard(msgspec.Struct, frozen=True):
-    """The owner of a task asks the guardian of another agent whether it would guard it. Answered by `CanGuard`.
-
-    Attributes:
-        type: entry point name of the task's class.
-    """
+    """The owner of a task asks another agent whether it would guard it. Answered by `CanGuard`."""
 
     task_id: TaskId
-    type: str
+    type: _Name
     journal: str = ""
 
 
-@packet_type("guard.can")
+@packet_type("task.can_guard")
 class CanGuard(msgspec.Struct, frozen=True):
     """Says whether an agent would guard a task.
 
@@ -425,7 +352,7 @@ class CanGuard(msgspec.Struct, frozen=True):
     """
 
     task_id: TaskId
-    guardian: GuardianId
+    guardian: Identity
     refusal: str
     runs_type: bool
     on_battery: bool
@@ -433,29 +360,57 @@ class CanGuard(msgspec.Struct, frozen=True):
     journal: str = ""
 
 
+OfRegister = Accept | Piece | Accepted | Prepare | Promise | Call | MayGuard | CanGuard | Refuse
+Bidding = Solicit | Bid | Refuse
+ToPeer = OfRegister | Bidding
+
+_M = TypeVar("_M", bound=msgspec.Struct)
+
+
+class ForJournal(Protocol):
+    """A message that is meant for an agent with one journal, and none that it had before."""
+
+    @property
+    def journal(self) -> str: ...
+
+
+def addressed(message: _M, journal: str) -> _M:
+    """Return the message, meant for the agent whose journal has the id `journal`."""
+    return replace(message, journal=journal)
+
+
+def is_for(message: ForJournal, journal: str) -> bool:
+    """Return whether the agent whose journal has the id `journal` may believe the message."""
+    return message.journal == journal
+
+
+LONG_UP_S: Final = 600.0
+"""An agent that has been up for this long counts as stable."""
+
+
 def choose(
-    me: GuardianId,
-    now: Iterable[GuardianId],
-    silent: Collection[GuardianId],
+    me: Identity,
+    now: Iterable[Identity],
+    silent: Collection[Identity],
     named: Collection[str],
     number: int,
     answers: Iterable[CanGuard],
-) -> tuple[GuardianId, ...] | None:
-    """Chooses the guardians of a task.
+) -> tuple[Identity, ...] | None:
+    """Choose the members of a task.
 
     Those that are there stay, unless they are silent. Of the others, those that the configuration names come first,
     then those that can run the task, those on mains, and those that have been up for long.
 
     Args:
         me: the owner, which is one of them.
-        now: the guardians as they are.
+        now: the members as they are.
         silent: those of them that have said nothing for too long.
         named: agents that the configuration names.
         number: how many there are to be.
         answers: what neighbours have said.
 
     Returns:
-        The guardians; None: there are not enough.
+        The members; None: there are not enough.
     """
     able = [one for one in answers if not one.refusal and one.guardian.agent != me.agent]
     stay = [one for one in now if one not in silent and one.agent != me.agent][: number - 1]
@@ -472,71 +427,3 @@ def choose(
     new = [one.guardian for one in able if one.guardian.agent not in taken][: number - 1 - len(stay)]
     chosen = (me, *stay, *new)
     return chosen if len(chosen) == number else None
-
-
-@packet_type("guard.poll")
-class AskLease(msgspec.Struct, frozen=True):
-    """A guardian asks another one whether a lease on a task runs there; answered by `LeaseSeen`, promises nothing."""
-
-    task_id: TaskId
-    journal: str = ""
-
-
-class HeldUntil(msgspec.Struct, frozen=True):
-    """The newest checkpoint that a guardian has.
-
-    Attributes:
-        checkpoint: which one.
-        age_s: how old it was when the owner was heard last, in host seconds; None: that is not known any more. What the
-            task has done since is lost.
-    """
-
-    checkpoint: CheckpointId = NO_CHECKPOINT
-    age_s: float | None = None
-
-    def story(self) -> str:
-        """Returns it as a clause."""
-        age = f"{self.age_s:.1f} s old" if self.age_s is not None else "of an age that is not known"
-        return f"checkpoint {self.checkpoint.epoch}/{self.checkpoint.no}, {age} at its last word"
-
-
-@packet_type("guard.seen")
-class LeaseSeen(msgspec.Struct, frozen=True):
-    """Says whether a lease runs at a guardian.
-
-    Attributes:
-        guardian: the guardian that says so.
-        runs: whether one runs.
-        promised: the latest epoch that it follows.
-        guards: the newest guards that it knows of.
-        held: the newest checkpoint that it has.
-    """
-
-    task_id: TaskId
-    guardian: GuardianId
-    runs: bool
-    promised: Epoch
-    guards: Guards
-    held: HeldUntil = HeldUntil()
-    journal: str = ""
-
-
-@packet_type("guard.call")
-class TakeTask(msgspec.Struct, frozen=True):
-    """A guardian tells the service of an agent to take a task whose owner is silent. No safety hangs on it.
-
-    Attributes:
-        type: entry point name of the task's class.
-        promised: the latest epoch that any guardian follows, as far as is known: the next one must be higher.
-        guards: the guardians.
-        checkpoint: the newest checkpoint that the sender has.
-        silent_s: for how long the owner has been silent, in host seconds.
-    """
-
-    task_id: TaskId
-    type: str
-    promised: Epoch
-    guards: Guards
-    checkpoint: CheckpointId
-    silent_s: float = 0.0
-    journal: str = ""

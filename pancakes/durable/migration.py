@@ -1,13 +1,13 @@
 """Migrates hosted tasks away: asks for bids, pauses the task, hands it over, and does what follows.
 
 `Mover` takes the request of a person or a rule, and the award of the Task Migrator. `Departures` carries out what the
-hand-off asks of the task: pause, resume, leave. All in the service's actor.
+migration asks of the task: pause, resume, leave. All in the service's actor.
 """
 
 from __future__ import annotations
 
 from functools import partial
-from typing import Any
+from typing import Any, Final
 
 from pancakes.control import Describe, Migrate, Refusal, Remove, Stop
 from pancakes.durable.after_migration import Sequel
@@ -21,12 +21,26 @@ from pancakes.durable.bidding_messages import (
     Negotiate,
     ServiceBegan,
 )
-from pancakes.durable.handoff_events import AttemptFailed, Award, Freeze, FreezeFailed, Frozen, HandedOver
 from pancakes.durable.hosting import HostingService, Move, Place
-from pancakes.durable.messages import Solicit
-from pancakes.durable.record import Phase, Record, TaskId
+from pancakes.durable.messages import REGISTRAR, Solicit
+from pancakes.durable.reconcile import (
+    AttemptFailed,
+    Award,
+    Freeze,
+    FreezeFailed,
+    Frozen,
+    HandedOver,
+    PartConcluded,
+    RestOverdue,
+    StartWanted,
+    StillOverdue,
+    StoodStill,
+    TakeDown,
+)
+from pancakes.durable.record import Record, TaskId
+from pancakes.durable.register import Standing
+from pancakes.durable.register_messages import Concluded
 from pancakes.durable.snapshot import Snapshot
-from pancakes.durable.state_machine import PartConcluded, StartWanted, StillOverdue, StoodStill, TakeDown
 from pancakes.errors import ControlRefusedError, MigrationError, PancakesError
 from pancakes.kernel.handlers import LATEST
 from pancakes.kernel.mailbox import tell
@@ -39,14 +53,14 @@ from pancakes.migration import (
     fault_of_choice,
     is_of_core,
 )
-from pancakes.packet import SYSCTRL, SYSTEM, Packet, agent_of, join
+from pancakes.packet import SYSCTRL, SYSTEM, Fence, Packet, agent_of, join
 from pancakes.supervision.lifecycle import RESTS, Request, State
 from pancakes.supervision.messages import Carried, GoOn, StandStill
 from pancakes.supervision.slots import CHANGES, STUCK_S, Slot
 
 
 class Departures:
-    """Carries out what hand-offs ask of tasks that leave one service. All in that service's actor.
+    """Carries out what migrations ask of tasks that leave one service. All in that service's actor.
 
     Args:
         host: the service.
@@ -56,39 +70,54 @@ class Departures:
         self._host = host
 
     def freeze(self, slot: Slot, place: Place, effect: Freeze) -> StoodStill | None:
-        """Has a task stand still; its actor answers `StoodStill`. Where it has none, that is returned."""
+        """Pause a task; its actor answers `StoodStill`. If it has none, that is returned."""
         if slot.task is None:
-            return StoodStill(effect.offer, reason="it does not run")
-        tell(slot.task, StandStill(effect.offer))
-        self._host.after_host(STUCK_S, partial(self._host.feed_place, place, StillOverdue(effect.offer)))
+            return StoodStill(effect.number, reason="it does not run")
+        tell(slot.task, StandStill(effect.number))
+        self._host.after_host(STUCK_S, partial(self._host.feed_place, place, StillOverdue(effect.number)))
         return None
 
     def take_down(self, slot: Slot, place: Place, effect: TakeDown) -> Frozen | FreezeFailed:
-        """Writes down a task that stands still, and holds its actuators; returns what follows."""
+        """Write down a task that is paused, and hold its actuators; return what follows."""
         self._host.hold_actuators(slot, "its task is handed over")
         assert isinstance(effect.carried, Carried)
         try:
             snapshot = self._host.snapshot(slot, effect.carried, self._host.outbox.leave(place.task_id))
         except PancakesError as error:
             self._host.outbox.stay(place.task_id)
-            self.let_go_on(slot)
-            return FreezeFailed(effect.offer, str(error))
-        self._host.event("task_frozen", task=slot.name, offer=effect.offer.n)
+            self.let_go_on(slot, place)
+            return FreezeFailed(str(error))
+        self._host.event("task_frozen", task=slot.name, offer=place.record.epoch.n)
         move = place.move
         sequel = Sequel(move.then, move.ledger).encode() if move is not None else b""
-        return Frozen(effect.offer, snapshot, sequel)
+        return Frozen(snapshot, sequel)
 
-    def let_go_on(self, slot: Slot) -> None:
-        """Lets a task go on that stands still."""
+    def let_go_on(self, slot: Slot, place: Place) -> None:
+        """Let a task go on that is paused, under the epoch of its record."""
         if slot.task is not None:
-            tell(slot.task, GoOn())
+            epoch = place.record.epoch
+            slot.fence = Fence(str(place.task_id), (epoch.n, epoch.minter.agent))
+            tell(slot.task, GoOn(slot.fence))
+
+    def look_at_rest(self, place: Place) -> None:
+        """A guarded task comes to rest: that is done once its members know, as else a taker would go on with it."""
+        members = ", ".join(sorted({one.agent for one in place.record.members} - {self._host.agent}))
+        reason = (
+            f"{place.task_id} is stopped on {self._host.agent}, but too few of its guardians ({members}) have confirmed"
+            " that: if they cannot be reached, another agent may go on with it"
+        )
+        self._host.after_host(STOP_HEARD_S, lambda: self._rest_overdue(place, reason))
+
+    def _rest_overdue(self, place: Place, reason: str) -> None:
+        if place.removal is None:  # else that waits for them
+            self._host.feed_place(place, RestOverdue(reason))
 
     def resume(self, place: Place, slot: Slot | None) -> None:
         """Lets a task go on that does not leave after all."""
         self._host.outbox.stay(place.task_id)
         if slot is not None and slot.task is not None:
             self._host.event("task_resumed", task=slot.name)
-            self.let_go_on(slot)
+            self.let_go_on(slot, place)
 
     def drop(self, place: Place, slot: Slot | None, ends: bool) -> None:
         """Forgets what is owed for a task, and kept for it."""
@@ -117,6 +146,10 @@ class Departures:
         return self._host.places.named(slot.name)
 
 
+STOP_HEARD_S: Final = 4.0
+"""A stop waits this long for the members of the task, in host time."""
+
+
 class Mover:
     """Looks after the moves of one service's tasks. All in that service's actor.
 
@@ -133,46 +166,50 @@ class Mover:
     def begin(self) -> None:
         """The service has begun: accounts for the moves that its predecessor's end has broken off."""
         for record, ledger in self._broken_off:
-            reason = f"{self._host.address} was started anew before {ledger.winner} had the task"
-            stayed = ledger.stayed(str(record.offer), reason)
+            reason = f"{self._host.address} was started again before {ledger.winner} had the task"
+            stayed = ledger.stayed(str(record.epoch), reason)
+            self._host.kernel.tell(REGISTRAR, Concluded(record.task_id))
             self._host.kernel.tell(MIGRATOR, BrokenOff(self._host, record.task_id, stayed, reason))
         self._host.kernel.tell(MIGRATOR, ServiceBegan(self._host))
 
     def found(self, record: Record) -> None:
         """Learns of a record that was on disk."""
-        if record.phase is Phase.FROZEN and (ledger := self.sequel_of(record).ledger) is not None:
+        if record.owned and record.sequel and (ledger := self.sequel_of(record).ledger) is not None:
             self._broken_off.append((record, ledger))
 
     def sequel_of(self, record: Record) -> Sequel:
-        """Returns what is to follow a hand-over; nothing, where that cannot be read."""
+        """Return what is to follow a migration; nothing, if that cannot be read."""
+        return self._read(record.task_id, record.sequel)
+
+    def _read(self, task_id: TaskId, sequel: bytes) -> Sequel:
         try:
-            return Sequel.decode(record.sequel)
+            return Sequel.decode(sequel)
         except MigrationError as error:
-            self._host.log("error", f"what was to follow the hand-over of {record.task_id} is not done: {error}")
+            self._host.log("error", f"what was to follow the migration of {task_id} is not done: {error}")
             return Sequel()
 
     def refuse_elsewhere(self, slot: Slot, body: Any) -> None:
-        """Looks whether something can be asked here of a task.
+        """See whether something can be asked here of a task. A stop can, also while it is being handed over.
 
         Raises:
             ControlRefusedError: it is on its way, it has left, or it is being removed.
         """
         place = self._host.places.at[slot.name]
-        record, volatile = place.standing.record, place.standing.volatile
-        describes = isinstance(body, Describe)
-        going = volatile.freezing or record.under_way
+        record, describes = place.record, isinstance(body, Describe)
+        going = (place.course.paused and not isinstance(body, Stop)) or record.in_doubt
         if going and not describes:
-            peer = volatile.asked or record.peer
+            moving = place.course.moving
+            peer = moving.heir.agent if moving is not None else record.peer
             raise ControlRefusedError(
                 f"{slot.address} is being handed over between {self._host.agent} and {peer}", "busy"
             )
-        if place.standing.leaving and not describes:
+        if place.course.leaving and not describes:
             raise ControlRefusedError(f"{slot.address} was handed over, and has not ended yet", "busy")
         if place.removal is not None and not describes:
             raise ControlRefusedError(f"{slot.address} is being removed", "busy")
         asks_state = describes and (body.state or body.began)
         changes = asks_state or isinstance(body, Stop | Migrate | Remove) or type(body) in CHANGES
-        if record.phase is Phase.RELEASED and not record.removed and changes:
+        if record.standing in (Standing.RELEASED, Standing.MEMBER) and not record.removed and changes:
             raise ControlRefusedError(f"{record.task_id} moved to {record.peer}", "moved")
 
     # Asking for a move -----------------------------------------------------------------------------------------
@@ -221,8 +258,9 @@ class Mover:
             host.name,
             slot.spec.cls.requires,
             body.cost,
-            rule.below if rule is not None and rule.when == "battery" else None,
+            rule.least_level if rule is not None else None,
             offer,
+            least_reserve_s=rule.least_reserve_s if rule is not None else None,
         )
         place.move = Move(request, body.then, answer, body.dry_run)
         asked_by = answer.by if answer is not None else "rule"
@@ -235,7 +273,7 @@ class Mover:
         Raises:
             ControlRefusedError: that is too much.
         """
-        record = place.standing.record
+        record = place.record
         try:
             return Snapshot.decode(record.snapshot).offer() if record.snapshot and not is_of_core(cost) else b""
         except MigrationError as error:
@@ -243,10 +281,31 @@ class Mover:
                 f"{place.task_id} cannot move for the cost {cost_text(cost)}: {error}", "unable"
             ) from None
 
+    def follower_of(self, slot: Slot, name: str) -> Place:
+        """Return the place of the task that is to start in the place of another one, which is being stopped.
+
+        Raises:
+            ControlRefusedError: it cannot start here.
+        """
+        host = self._host
+        if name == slot.name:
+            raise ControlRefusedError(f"{name} cannot follow itself: restart it", "invalid")
+        other = host.slots.get(name)
+        if other is None:
+            raise ControlRefusedError(f"{host.address} has no task {name!r} that could follow {slot.name}", "not_found")
+        place = host.places.at[name]
+        if place.record.standing in (Standing.RELEASED, Standing.MEMBER) and not place.record.removed:
+            raise ControlRefusedError(f"{name} cannot follow {slot.name}: it moved to {place.record.peer}", "moved")
+        if other.life.state not in RESTS:
+            raise ControlRefusedError(f"{name} cannot follow {slot.name}: it is {other.life.word} already", "conflict")
+        if reason := host.admit(other):
+            raise ControlRefusedError(f"{name} cannot follow {slot.name}: {reason}", "unable")
+        return place
+
     def watch(self, slot: Slot) -> None:
         """A task runs: watches what its rule for moving is about."""
         rule = slot.spec.rule
-        if rule is not None and rule.when not in self._watched:
+        if rule is not None and not rule.allocated and rule.when not in self._watched:
             self._watched.append(rule.when)
             self._host.subscribe(SYSTEM, rule.when, self._on_reading, queue=LATEST)
 
@@ -273,12 +332,12 @@ class Mover:
     # What the Task Migrator tells ------------------------------------------------------------------------------
 
     def heard(self, place: Place, message: BidAwarded | MoveOver) -> Award | PartConcluded | None:
-        """The bids are compared, or a move is over; returns what follows."""
+        """The agent with the lowest bid keeps room for the task, or a migration is over; return what follows."""
         if isinstance(message, MoveOver):
             return self._over(place, message)
         if place.move is not None:
             place.move.ledger = message.ledger
-        return Award(message.peer, message.request)
+        return Award(message.heir)
 
     def _over(self, place: Place, over: MoveOver) -> PartConcluded | None:
         move, place.move = place.move, None
@@ -320,7 +379,7 @@ class Mover:
     def migrator_began(self) -> None:
         """The migrator has started anew and knows of no negotiation: the requests that wait are answered.
 
-        A hand-off under way goes on without it, and with it the move.
+        A migration under way goes on without it, and with it the move.
         """
         for place in list(self._host.places.values()):
             if place.account is not None:
@@ -328,10 +387,10 @@ class Mover:
             elif place.move is not None and place.move.ledger is None:
                 self._over(place, MoveOver(place.task_id, "the Task Migrator was started anew", None))
 
-    # What hand-offs ask for ------------------------------------------------------------------------------------
+    # What migrations ask for ------------------------------------------------------------------------------------
 
     def attempt_failed(self, place: Place, effect: AttemptFailed) -> None:
-        """The hand-off to a bidder has come to nothing, or (no peer) none can begin now."""
+        """The migration to a bidder has come to nothing, or (no peer) none can begin now."""
         ledger = place.move.take_ledger() if place.move is not None else None
         if effect.peer or place.move is not None:
             message = AttemptOver(self._host, place.task_id, effect.peer, effect.refusal, ledger)
@@ -340,7 +399,7 @@ class Mover:
     def handed_over(self, place: Place, effect: HandedOver) -> None:
         """Another agent has the task: does what is to follow."""
         self._host.event("task_handed_over", task=place.task_id.name, to=effect.peer, epoch=effect.epoch.n)
-        sequel = self.sequel_of(place.standing.record)
+        sequel = self._read(place.task_id, effect.sequel)
         # In a turn of its own: after a restart of the agent this comes while the other tasks are being started.
         self._host.call(lambda: self._conclude(place, effect, sequel))
 

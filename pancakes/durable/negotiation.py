@@ -3,7 +3,7 @@
 `Capability` compares what a task needs with what an agent has. `Reservations` are the slots kept for tasks that are
 about to arrive. `Negotiation` collects the answers of the neighbours and keeps the account. Once one neighbour has
 bid, the others have half a second; before that, silence is tolerated longer, because a neighbour may have to import
-the task's class first. The cheapest bid wins, ties by name. If the hand-off to it fails, the next bid wins. The task
+the task's class first. The cheapest bid wins, ties by name. If the migration to it fails, the next bid wins. The task
 runs on meanwhile.
 """
 
@@ -17,7 +17,7 @@ from msgspec.structs import replace
 
 from pancakes.control import Refusal
 from pancakes.durable.messages import Solicit
-from pancakes.durable.record import Epoch, TaskId
+from pancakes.durable.record import TaskId
 from pancakes.errors import NoCandidateError, RefusalCode
 from pancakes.migration import Line, MigrationReport, cost_text, fault_of, fault_of_choice, names_of
 from pancakes.util.text import hint_of
@@ -27,6 +27,9 @@ HOST_ROLE: Final = "agent"
 
 BATTERY_MARGIN: Final = 0.10
 """A candidate's battery must lie at least this much above the level where the task would move on: no ping-pong."""
+
+RESERVE_FACTOR: Final = 2.0
+"""A candidate's reserve must be at least this many times the one at which the task would move on: likewise."""
 
 
 class Capability(msgspec.Struct, frozen=True):
@@ -42,6 +45,7 @@ class Capability(msgspec.Struct, frozen=True):
         names: which task each name here belongs to: those that run, are stopped, or are about to arrive.
         costs: the cost functions that it knows.
         battery_level: what is left of its battery, 0 to 1; None where it has none.
+        reserve_s: the seconds of its newest `reserve`; None: there has been none.
     """
 
     role: str = HOST_ROLE
@@ -53,6 +57,7 @@ class Capability(msgspec.Struct, frozen=True):
     names: Mapping[str, TaskId] = msgspec.field(default_factory=dict)
     costs: tuple[str, ...] = ("tasks",)
     battery_level: float | None = None
+    reserve_s: float | None = None
 
     def refusal_of(self, request: Solicit) -> Refusal | None:
         """Returns why this agent cannot take the task, with all reasons in its text; None if it can.
@@ -71,6 +76,7 @@ class Capability(msgspec.Struct, frozen=True):
             ("conflict", self._name(request)),
             ("unsupported", self._cost(request)),
             ("unable", self._battery(request)),
+            ("unable", self._reserve(request)),
         )
 
     def _service(self, request: Solicit) -> str:
@@ -116,6 +122,18 @@ class Capability(msgspec.Struct, frozen=True):
             return ""
         return f"has {level:.0%} of its battery, too near to the {below:.0%} at which the task would move on"
 
+    def _reserve(self, request: Solicit) -> str:
+        least_s = request.least_reserve_s
+        if least_s is None or "battery" not in self.devices:
+            return ""  # what has no battery needs no dock
+        if self.reserve_s is None:
+            return "its reserve is not known: a task of the type energy.reserve tells it"
+        if not self.reserve_s > 0.0:
+            return f"must go to a dock itself: its reserve is {self.reserve_s:.0f} s"
+        if self.reserve_s >= RESERVE_FACTOR * least_s:
+            return ""
+        return f"has a reserve of {self.reserve_s:.0f} s, too near to the {least_s:g} s at which the task would move on"
+
 
 def compatible(offered: str, here: str) -> bool:
     """Returns whether a task of the version `offered` may be built from the version `here`.
@@ -139,12 +157,10 @@ class Reservation(msgspec.Struct, frozen=True):
 
     Attributes:
         peer: the agent that it would come from.
-        offer: the hand-off that it is kept for.
         until_s: host time at which it is given up.
     """
 
     peer: str
-    offer: Epoch
     until_s: float
 
 
@@ -184,7 +200,7 @@ MOST_LETTERS: Final = 1000
 
 
 class Awarded(msgspec.Struct, frozen=True):
-    """`peer` is to get the task: begin the hand-off, then say `failed` or `moved`."""
+    """`peer` is to get the task: begin the migration, then say `failed` or `moved`."""
 
     peer: str
 
@@ -241,7 +257,7 @@ class Negotiation:
         self._known = known = sorted(dict.fromkeys(neighbours))
         self.request = request
         self.asked: tuple[str, ...] = tuple(peer for peer in known if not to or peer == to)
-        self._source = source
+        self.source = source
         self._asked_by = asked_by
         self._to = to
         self.dry_run = dry_run
@@ -262,7 +278,7 @@ class Negotiation:
 
     @property
     def chosen(self) -> str:
-        """The neighbour that the hand-off is under way to, or that has the task; empty where none."""
+        """The neighbour that the migration is under way to, or that has the task; empty where none."""
         return self._chosen
 
     def begin(self, now_s: float) -> Outcome | None:
@@ -287,7 +303,7 @@ class Negotiation:
         return self._close(now_s) if self._open and self._late(now_s) else None
 
     def failed(self, peer: str, refusal: Refusal, now_s: float) -> Outcome | None:
-        """Takes the news that the hand-off to the chosen neighbour came to nothing; the next one's turn."""
+        """Takes the news that the migration to the chosen neighbour came to nothing; the next one's turn."""
         if self._open or peer != self._chosen or self._ended_s is not None:
             return None
         self._lines[peer] = _refused(replace(self._lines[peer], fate="failed"), refusal)
@@ -309,7 +325,7 @@ class Negotiation:
             outcome = "dry run" if self.dry_run else "moved"
         return MigrationReport(
             task_id=str(self.request.task_id),
-            source=self._source,
+            source=self.source,
             asked_by=self._asked_by,
             cost=cost_text(self.request.cost),
             outcome=outcome,  # type: ignore[arg-type]  # mypy does not narrow the literals above
@@ -375,12 +391,16 @@ class Negotiation:
         if self.asked:
             reasons = "; ".join(f"{peer}: {self._lines[peer].reason}" for peer in self.asked)
             return f"no neighbour can take {name}: {reasons}"
-        if self._to == self._source:
+        if self._to == self.source:
             return f"{name} is on {self._to} already: name another agent"
         if self._to:
             hint = hint_of(self._to, self._known)
-            return f"no neighbour can take {name}: {self._to} is no neighbour that hosts tasks{hint}"
-        return f"no neighbour can take {name}: there is no neighbour that hosts tasks"
+            linked = "" if self._known else f", nor is any other agent that runs tasks{UNLINKED}"
+            return f"no neighbour can take {name}: {self._to} is not linked to {self.source}{linked}{hint}"
+        return f"no neighbour can take {name}: no agent that runs tasks is linked to {self.source}{UNLINKED}"
+
+
+UNLINKED: Final = " (are their addresses in `peers` of [agent]?)"
 
 
 def _refused(line: Line, refusal: Refusal) -> Line:

@@ -8,15 +8,18 @@ host.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import msgspec
 from msgspec.structs import replace
 
-from pancakes.durable.messages import Piece, Transfer
-from pancakes.durable.record import Epoch, TaskId
+from pancakes.durable.messages import Piece
+from pancakes.durable.record import TaskId
+from pancakes.durable.register import Stamp
 from pancakes.errors import MigrationError, RemoteProtocolError
+from pancakes.migration import GuardRule, MigrationRule
 from pancakes.settings import dotted
+from pancakes.supervision.restart import RestartSpec
 from pancakes.util import codecs
 from pancakes.util.arrays import array_from_extension, saved_array
 from pancakes.util.codecs import MALFORMED, sha256, why_malformed
@@ -33,7 +36,7 @@ class PostedTo(msgspec.Struct, frozen=True):
     Attributes:
         task_id: that task, as `birthplace/name`.
         host: where that task is thought to be.
-        epoch_n: how many hand-offs that news knows of.
+        epoch_n: how many migrations that news knows of.
         next_seq: number of the next packet.
         packets: those that were not acknowledged, as the wire writes them: the last ones before `next_seq`.
         began_n, began_life: as in `post.Receipt`; -1: nothing was acknowledged.
@@ -60,6 +63,95 @@ class Posted(msgspec.Struct, frozen=True):
     to: tuple[PostedTo, ...]
 
 
+class KeptAnswer(msgspec.Struct, frozen=True):
+    """An answer that is not handed over yet.
+
+    Attributes:
+        body: the answer, as plain values.
+        code, text: why there is none; empty: there is one.
+    """
+
+    body: Any = None
+    code: str = ""
+    text: str = ""
+
+
+class AskedRequest(msgspec.Struct, frozen=True):
+    """A request that the task has made, and whose answer it has not taken.
+
+    Attributes:
+        source, seq: which packet it went in.
+        to: the task that was asked.
+        type: the packet type of the request.
+        timeout_s: after how long it is called off, in mission seconds.
+        left_s: how much of that is left.
+        then: the name of the method that takes the answer; empty: a coroutine awaits it, which does not migrate.
+        feedback: the name of the method that takes the feedback; empty: none does.
+        heard: the number of the last feedback that has come.
+        answer: what has come; None: nothing yet.
+    """
+
+    source: str
+    seq: int
+    to: str
+    type: str
+    timeout_s: float
+    left_s: float
+    then: str = ""
+    feedback: str = ""
+    heard: int = 0
+    answer: KeptAnswer | None = None
+
+    @property
+    def key(self) -> tuple[str, int]:
+        """Its source and number."""
+        return self.source, self.seq
+
+
+class OpenRequest(msgspec.Struct, frozen=True):
+    """A request that the task was asked and has not answered.
+
+    Attributes:
+        source, seq: which packet it came in.
+        reply_to: where the answer goes.
+        type: the packet type of the request.
+        body: the request, as plain values.
+        left_s: after how long no answer is wanted any more, in mission seconds.
+        later: whether the task answers it by a `Pending`; else its method begins again.
+        told: how often feedback was given.
+        cancelled: whether no answer is wanted any more, and the task has not been told yet.
+        answer: what could not be sent yet; None: nothing.
+    """
+
+    source: str
+    seq: int
+    reply_to: str
+    type: str
+    body: Any
+    left_s: float
+    later: bool = False
+    told: int = 0
+    cancelled: bool = False
+    answer: KeptAnswer | None = None
+
+    @property
+    def key(self) -> tuple[str, int]:
+        """Its source and number."""
+        return self.source, self.seq
+
+
+class CarriedRequests(msgspec.Struct, frozen=True):
+    """The open requests of a task.
+
+    Attributes:
+        asked: those that it has made.
+        open: those that it was asked.
+    """
+
+    asked: tuple[AskedRequest, ...] = ()
+    open: tuple[OpenRequest, ...] = ()
+
+
 class Snapshot(msgspec.Struct, frozen=True):
     """One task at one moment.
 
@@ -84,6 +176,7 @@ class Snapshot(msgspec.Struct, frozen=True):
         rate_hz: the rate that its configuration gave its first timer; None: as its class says.
         created: whether no configuration file names it.
         offers: the fields of its state that bidders are told.
+        requests: its open requests; None: it has none.
     """
 
     task_id: TaskId
@@ -104,6 +197,7 @@ class Snapshot(msgspec.Struct, frozen=True):
     rate_hz: float | None = None
     created: bool = False
     offers: tuple[str, ...] = ()
+    requests: CarriedRequests | None = None
 
     def offer(self) -> bytes:
         """Returns what bidders are told of it: its settings, and what it offers of its state; see `offer_of`.
@@ -155,10 +249,13 @@ _DECODE_OFFER: Callable[[bytes], tuple[dict[str, Any], dict[str, Any]]] = codecs
 )
 _DECODE: Callable[[bytes], Snapshot] = codecs.decoder(Snapshot, array_from_extension)
 _POLICIES: Final = {"permanent": "always", "transient": "on-failure", "temporary": "no"}
-"""What snapshots that were kept before called the policies of restarts."""
+"""What snapshots from before version 0.1.0 called the policies of restarts."""
 
 
 def _in_words_of_today(snapshot: Snapshot) -> Snapshot:
+    if snapshot.guard is not None and "guard" in snapshot.guard:  # what it called the number of copies
+        rule = dict(snapshot.guard)
+        snapshot = replace(snapshot, guard={"copies": rule.pop("guard"), **rule})
     policy = snapshot.restart.get("policy")  # which nobody has checked yet
     if not isinstance(policy, str) or policy not in _POLICIES:
         return snapshot
@@ -202,15 +299,14 @@ MOST_BYTES: Final = 2 * LIMIT_BYTES
 """So many bytes these may have."""
 
 
-def cut(transfer: Transfer) -> list[Piece]:
-    """Returns the pieces of a snapshot, in order; at least one, also of an empty snapshot."""
-    whole = transfer.snapshot
+def cut(task_id: TaskId, stamp: Stamp, whole: bytes) -> list[Piece]:
+    """Return the pieces of a state that a write has, in order; at least one."""
     starts = range(0, max(len(whole), 1), PIECE_BYTES)
     fingerprint = digest(whole)
     return [
         Piece(
-            transfer.task_id,
-            transfer.offer,
+            task_id,
+            stamp,
             index,
             len(starts),
             len(whole),
@@ -231,7 +327,7 @@ class Assembly:
     def __init__(self) -> None:
         self._parts: dict[TaskId, _Parts] = {}
 
-    def add(self, peer: str, piece: Piece) -> Transfer | None:
+    def add(self, peer: str, piece: Piece) -> bytes | None:
         """Takes a piece in.
 
         Returns:
@@ -246,10 +342,10 @@ class Assembly:
                 f"{peer} offers {piece.task_id} with a snapshot of {piece.size_bytes} bytes, {LIMIT_BYTES} may travel"
             )
         parts = self._parts.get(piece.task_id)
-        if parts is None or parts.peer != peer or piece.offer > parts.offer:
-            self._check_room(peer, piece)
+        if parts is None or parts.peer != peer or piece.stamp > parts.stamp:
+            self._make_room(peer, piece)
             parts = self._parts[piece.task_id] = _Parts(peer, piece)
-        elif piece.offer < parts.offer:
+        elif piece.stamp < parts.stamp:
             return None
         count = -(-max(piece.size_bytes, 1) // PIECE_BYTES)
         length = min(PIECE_BYTES, piece.size_bytes - piece.index * PIECE_BYTES)
@@ -266,30 +362,22 @@ class Assembly:
         whole = b"".join(parts.data[index] for index in range(count))
         if digest(whole) != piece.digest:
             raise RemoteProtocolError(f"the snapshot of {piece.task_id} from {peer} was damaged on its way")
-        return Transfer(piece.task_id, piece.offer, whole)
+        return whole
 
-    def _check_room(self, peer: str, first: Piece) -> None:
-        """Raises `RemoteProtocolError` where too many snapshots of a peer are on their way, or too large ones."""
-        others = [parts for task_id, parts in self._parts.items() if parts.peer == peer and task_id != first.task_id]
-        if len(others) >= MOST_HALF or sum(parts.size_bytes for parts in others) + first.size_bytes > MOST_BYTES:
-            raise RemoteProtocolError(
-                f"{peer} sends {first.task_id} while {len(others)} of its snapshots are on their way: at most"
-                f" {MOST_HALF} may be, of {MOST_BYTES} bytes"
-            )
+    def _make_room(self, peer: str, first: Piece) -> None:
+        """Forget what came first of a peer's that is not whole: it sends one after the other, so the rest is lost."""
+        others = [task_id for task_id, parts in self._parts.items() if parts.peer == peer and task_id != first.task_id]
+        size = sum(self._parts[task_id].size_bytes for task_id in others) + first.size_bytes
+        while others and (len(others) >= MOST_HALF or size > MOST_BYTES):
+            size -= self._parts.pop(others.pop(0)).size_bytes
 
     def has(self, task_id: TaskId) -> bool:
-        """Returns whether something has come in of a task."""
+        """Return whether something has come in of a task."""
         return task_id in self._parts
 
     def drop(self, peer: str) -> None:
         """Forgets what has come in so far from a peer whose link broke."""
         self._parts = {task_id: parts for task_id, parts in self._parts.items() if parts.peer != peer}
-
-    def end(self, peer: str, task_id: TaskId) -> None:
-        """Forgets what has come in so far of a task whose hand-over from a peer is decided."""
-        parts = self._parts.get(task_id)
-        if parts is not None and parts.peer == peer:
-            del self._parts[task_id]
 
 
 class _Parts:
@@ -297,7 +385,38 @@ class _Parts:
 
     def __init__(self, peer: str, first: Piece) -> None:
         self.peer = peer
-        self.offer: Epoch = first.offer
+        self.stamp: Stamp = first.stamp
         self.size_bytes = first.size_bytes
         self.digest = first.digest
         self.data: dict[int, bytes] = {}
+
+
+class Rules(NamedTuple):
+    """How a task moves and is guarded.
+
+    Attributes:
+        move: when it moves by itself; None: it does not.
+        guard: how it is guarded; None: it is not.
+    """
+
+    move: MigrationRule | None
+    guard: GuardRule | None
+
+
+def rules_of(encoded: bytes, task_id: TaskId) -> tuple[Snapshot, Rules]:
+    """Reads a snapshot that another agent has kept, and what it says of its task.
+
+    Raises:
+        MigrationError: it cannot be read, or is of another task.
+    """
+    snapshot = Snapshot.decode(encoded)
+    if snapshot.task_id != task_id:
+        raise MigrationError(f"the snapshot is of {snapshot.task_id}, not of {task_id}")
+    try:
+        move = codecs.convert(snapshot.migrate, MigrationRule) if snapshot.migrate is not None else None
+        guard = codecs.convert(snapshot.guard, GuardRule) if snapshot.guard is not None else None
+        if snapshot.restart:
+            codecs.convert(snapshot.restart, RestartSpec)
+    except msgspec.ValidationError as error:
+        raise MigrationError(f"the snapshot of {task_id} is malformed: {error}") from None
+    return snapshot, Rules(move, guard)

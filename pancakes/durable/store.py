@@ -1,33 +1,34 @@
-"""What an agent keeps in its journal about tasks: records, guard registers, and accounts of migrations.
+"""What an agent keeps in its journal about tasks: their records, and accounts of migrations.
 
 Everything is read once at the start, and written without waiting: the writer is told when its entry is on disk, or
-why not. Any thread may read. A record or register that cannot be read is listed as lost, because forgetting one
-silently could start a task twice.
+why not. Any thread may read. A record that cannot be read is listed as lost, because forgetting one silently could
+start a task twice.
 """
 
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any, Final
 
 import msgspec
-from msgspec.structs import replace
 
-from pancakes.durable.guarding import GuardRegister
-from pancakes.durable.record import NO_EPOCH, Epoch, Lost, Record, TaskId
+from pancakes.durable.old_records import GUARD, OldRecords
+from pancakes.durable.record import Lost, Record, TaskId
+from pancakes.durable.register import Identity
 from pancakes.errors import MigrationError
 from pancakes.journal import Disk, JournalEntry, May, RecordTable
 from pancakes.kernel.mailbox import Reference, tell
 from pancakes.migration import MigrationReport
 from pancakes.util import codecs
+from pancakes.util.codecs import MALFORMED
 
 RECORD = "record"
 
 
 class RecordWritten(msgspec.Struct, frozen=True):
-    """The records tell a service that one is on disk for good, or could not be written.
+    """The records tell the registrar that one is on disk for good, or could not be written.
 
     Attributes:
         task_id: the task whose record it is.
@@ -43,10 +44,22 @@ class Records:
 
     Args:
         disk: what they are kept on.
+        me: this agent as an owner and member of tasks.
+        journals: the id of the journal that each other agent had last, by name; for records of earlier versions.
     """
 
-    def __init__(self, disk: Disk) -> None:
-        self._copy = disk.journal.copy
+    def __init__(self, disk: Disk, me: Identity, journals: Mapping[str, str]) -> None:
+        old = OldRecords((it.data for it in disk.journal.entries(GUARD)), me, journals)
+
+        def decode(data: bytes) -> Record:
+            try:
+                return msgspec.structs.replace(Record.decode(data), me=me)
+            except MigrationError as error:
+                try:
+                    return old.record(data)
+                except MALFORMED:
+                    raise error from None
+
         self._lost: dict[TaskId, Lost] = {}
         self._claims: dict[TaskId, str] = {}
         for aside in disk.journal.missing:
@@ -57,9 +70,12 @@ class Records:
         self._records = RecordTable(
             disk,
             RECORD,
-            Record.decode,
+            decode,
             lambda key, why: self._lose(key, f"the journal has it, and it is not used: {why}"),
         )
+        self._only_guarded = {
+            str(it.task_id): it for it in old.guarded(it.task_id for it in self._records.on_disk.values())
+        }
         for record in self._records.on_disk.values():
             self._note_name(record.task_id)
 
@@ -78,16 +94,14 @@ class Records:
 
     def all(self) -> dict[TaskId, Record]:
         """Returns the records as they are on disk."""
-        return {record.task_id: record for record in list(self._records.on_disk.values())}
+        found = {record.task_id: record for record in list(self._records.on_disk.values())}
+        others = {it.task_id: it for it in self._only_guarded.values() if it.task_id not in found}
+        return {**others, **found}
 
     def get(self, task_id: TaskId) -> Record | None:
         """Returns the record of a task as it is on disk; None: there is none."""
-        return self._records.on_disk.get(str(task_id))
-
-    def original_epoch(self, task_id: TaskId) -> Epoch:
-        """Returns the epoch of a task that began before this disk was copied; `NO_EPOCH`: it has begun since."""
-        record = self._records.on_disk.get(str(task_id))
-        return record.epoch if record is not None and record.copy != self._copy else NO_EPOCH
+        key = str(task_id)
+        return self._records.on_disk.get(key) or self._only_guarded.get(key)
 
     def service_of(self, task_id: TaskId) -> str:
         """Returns the name of the service whose record of a task is on disk; empty: there is none, or it says none."""
@@ -135,24 +149,21 @@ class Records:
         """Says what keeps a task's record from being written; empty: nothing that is known of."""
         return self._records.trouble(str(task_id))
 
-    def persist(self, record: Record, service: Reference, may: May | None = None) -> None:
-        """Writes a record, and tells the service that keeps it `RecordWritten`.
+    def write(self, record: Record, writer: Reference, may: May | None = None) -> None:
+        """Begin to write a record, and tell the writer `RecordWritten`. Never waits.
 
         Args:
             record: the record.
-            service: the service.
+            writer: the actor that is told.
             may: says, in the store's thread, whether it may be written once its turn has come; None: it may.
         """
         task_id = record.task_id
         self._note_name(task_id)
 
         def failed(why_not: str) -> None:
-            tell(service, RecordWritten(task_id, why_not))
+            tell(writer, RecordWritten(task_id, why_not))
 
-        written = partial(tell, service, RecordWritten(task_id))
-        known = self._records.newest.get(str(task_id))
-        copy = known.copy if known is not None and known.epoch == record.epoch else self._copy
-        self._records.write(str(task_id), replace(record, service=service.name, copy=copy), written, failed, may)
+        self._records.write(str(task_id), record, partial(tell, writer, RecordWritten(task_id)), failed, may)
 
 
 def _read(entry: JournalEntry | None) -> Record | None:
@@ -162,76 +173,6 @@ def _read(entry: JournalEntry | None) -> Record | None:
         return Record.decode(entry.data)
     except MigrationError:
         return None
-
-
-REGISTER: Final = "guard"
-
-
-class RegisterWritten(msgspec.Struct, frozen=True):
-    """`Registers` tells the guardian that one is on disk for good, or could not be written.
-
-    Attributes:
-        task_id: the task.
-        why_not: why it could not be written; empty: it is on disk.
-    """
-
-    task_id: TaskId
-    why_not: str = ""
-
-
-class _OnDisk(msgspec.Struct, frozen=True):
-    register: GuardRegister
-    copy: str
-
-
-class Registers:
-    """The registers of one guardian. Any thread; of one task, one thread at a time writes.
-
-    A guardian that has lost a register has forgotten its pledge, so it is no guardian of that task any more. One whose
-    journal is a copy has none: what it has promised since is not in them.
-
-    Args:
-        disk: what they are kept on.
-    """
-
-    def __init__(self, disk: Disk) -> None:
-        self._lost = {aside.key: str(aside) for aside in disk.journal.missing if aside.kind == REGISTER}
-        self._copy, self._copied = disk.journal.copy, disk.journal.copied
-
-        def malformed(key: str, why: str) -> None:
-            self._lost[key] = f"the journal has it, and it cannot be read: {why}"
-
-        self._table = RecordTable(disk, REGISTER, codecs.decoder(_OnDisk), malformed)
-
-    def all(self) -> Iterable[GuardRegister]:
-        """Returns those that are on disk."""
-        return [it.register for it in list(self._table.on_disk.values()) if it.copy == self._copy]
-
-    def of_original(self) -> list[TaskId]:
-        """Returns the tasks that the original guards, at the first start of a copy."""
-        found = list(self._table.on_disk.values()) if self._copied else []
-        return [it.register.task_id for it in found if it.copy != self._copy]
-
-    def get(self, task_id: TaskId) -> GuardRegister | None:
-        """Returns the register of a task that is on disk; None: there is none."""
-        found = self._table.on_disk.get(str(task_id))
-        return found.register if found is not None and found.copy == self._copy else None
-
-    def lost(self) -> dict[str, str]:
-        """Returns what became of those that are lost, by task."""
-        return dict(self._lost)
-
-    def write(self, register: GuardRegister, guardian: Reference) -> None:
-        """Begins to write a register, and tells the guardian `RegisterWritten`. Never waits."""
-        task_id = register.task_id
-
-        def written() -> None:
-            tell(guardian, RegisterWritten(task_id))
-
-        def failed(why_not: str) -> None:
-            tell(guardian, RegisterWritten(task_id, why_not))
-
-        self._table.write(str(task_id), _OnDisk(register, self._copy), written, failed)
 
 
 LEDGER: Final = "ledger"
@@ -278,7 +219,7 @@ class MigrationReports:
         self._last = max((kept.number for kept in self._accounts.newest.values()), default=0)
 
     def add(self, ledger: MigrationReport, reason: str, mission_s: float) -> None:
-        """Keeps an account, and begins to write it down; that of a hand-off is kept once. Never waits.
+        """Keeps an account, and begins to write it down; that of a migration is kept once. Never waits.
 
         Args:
             ledger: the account.

@@ -261,7 +261,8 @@ class Journal(ABC):
         # Without an identity, the entries belong to another journal, and are set aside.
         self.uuid, mark = found.uuid or self.life, self._mark()
         self.copied = bool(found.uuid) and found.mark != mark
-        self.copy = self.life if self.copied else found.copy
+        # A copy of a copy is above it in order.
+        self.copy = f"{found.boot + 1:08d}{self.life}" if self.copied else found.copy
         for name in names:
             if name == identity:
                 continue

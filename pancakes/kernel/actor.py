@@ -156,8 +156,9 @@ class Component(PykkaActor):
                 fence = permits.limited(fence, math.inf)
         if cause is None and in_hand is not None:
             cause = (in_hand.source, in_hand.seq)
-        route = kernel.stream.route(channel, body, to, core.address)
-        packet = Packet(channel, route.type, core.address, to, kernel.now(), core.seq.take(), body, cause, fence)
+        address, stream = core.address, kernel.stream
+        route = stream.routes.get((channel, body.__class__, to)) or stream.new_route(channel, body, to, address)
+        packet = Packet(channel, route.type, address, to, kernel.now(), core.seq.take(), body, cause, fence)
         route.give(packet)
         return packet
 
@@ -318,12 +319,14 @@ class ActorCore(Component):
         awaited: what it awaits between its turns.
         loop: its event loop; None: it has awaited nothing yet.
         is_paused: whether its author has paused it.
+        is_waiting: whether it is paused because somebody drives an actuator of its by hand.
         exited: called when it has ended, with its facade, and the error if it failed.
         after_turn: called in the actor after each of its turns; None: nothing is.
     """
 
     # In the class, as few ever rest: it saves each actor three attributes.
     is_paused = False
+    is_waiting = False
     awaited: Awaited | None = None
     loop: ActorLoop | None = None
     __frozen = False
@@ -356,6 +359,11 @@ class ActorCore(Component):
     def awaits(self) -> bool:
         """Whether its class has methods that are awaited, so that it needs a thread of its own."""
         return self.__plan().awaits
+
+    @property
+    def answering(self) -> dict[str, str]:
+        """The names of its methods that answer requests, by the packet type of the request."""
+        return self.__plan().answers
 
     def __plan(self) -> Plan:
         facade = self.facade
@@ -541,8 +549,8 @@ class ActorCore(Component):
             self.kernel.timer.cancel(timer)
 
     def leave_pause(self) -> None:
-        """Go on if it is neither paused nor frozen. In the actor."""
-        if self.is_paused or self.__frozen or not self.__rests:
+        """Go on if it is neither paused nor frozen, and waits for nothing. In the actor."""
+        if self.is_paused or self.is_waiting or self.__frozen or not self.__rests:
             return
         self.__rests = False
         self.actor_inbox.paused = self.awaited is not None

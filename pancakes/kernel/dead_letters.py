@@ -13,7 +13,8 @@ from collections.abc import Callable, Iterable
 from typing import Final
 
 from pancakes.control import Reply
-from pancakes.kernel.mailbox import TypeQueue
+from pancakes.errors import RefusalCode
+from pancakes.kernel.mailbox import ASK_TYPE, TypeQueue
 from pancakes.packet import CTRL, NETWORK, Packet, agent_of, covers, type_name
 from pancakes.util.text import did_you_mean
 
@@ -82,6 +83,7 @@ class Unheard:
         log: takes a level and a line.
         running: returns the addresses of what runs here.
         resting: returns the addresses of what is known here and may not run now.
+        refuse: takes a request that no task can take, with the reason for programs and for people.
         device_types: returns the types of the devices that run here.
         host_now: returns the host time in seconds.
     """
@@ -92,6 +94,7 @@ class Unheard:
         log: Callable[[str, str], None],
         running: Callable[[], list[str]],
         resting: Callable[[], list[str]],
+        refuse: Callable[[Packet, RefusalCode, str], None],
         device_types: Callable[[], list[str]],
         host_now: Callable[[], float],
     ) -> None:
@@ -99,6 +102,7 @@ class Unheard:
         self._log = log
         self._running = running
         self._resting = resting
+        self._refuse = refuse
         self._device_types = device_types
         self._host_now = host_now
         self._lock = threading.Lock()
@@ -121,6 +125,14 @@ class Unheard:
             if packet.channel == CTRL and agent_of(packet.source) == self._agent:
                 self._tell(packet, lambda: self._no_actuator(packet))
         elif agent_of(destination) == self._agent:
+            if packet.type == ASK_TYPE:  # who asked is told, and the log need not be
+                if any(covers(destination, it) for it in self._running()):
+                    self._refuse(packet, "unsupported", f"{destination} answers no requests")
+                elif reason := self._no_reader(packet):
+                    self._refuse(packet, "not_found", reason)
+                else:
+                    self._refuse(packet, "unable", f"{destination} does not run now")
+                return
             self._tell(packet, lambda: self._no_reader(packet))
 
     def elsewhere(self, packet: Packet, linked: Iterable[str]) -> None:
@@ -131,6 +143,9 @@ class Unheard:
             linked: the names of the agents that are linked.
         """
         name = agent_of(packet.destination)
+        if packet.type == ASK_TYPE:
+            self._refuse(packet, "unable", f"{self._agent} has no link to {name}")
+            return
         if name in self._met:
             return
         there = sorted(linked)

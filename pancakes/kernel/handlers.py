@@ -43,7 +43,16 @@ import msgspec
 
 from pancakes.errors import ClassError, LocalProtocolError
 from pancakes.packet import Packet, covers, type_name
-from pancakes.util.class_checks import GIVEN, PERIOD, SUBSCRIPTIONS, check_called, is_async, place_of_function, takes
+from pancakes.util.class_checks import (
+    ANSWERS,
+    GIVEN,
+    PERIOD,
+    SUBSCRIPTIONS,
+    check_called,
+    is_async,
+    place_of_function,
+    takes,
+)
 
 MOST_BYTES: Final = 16 * 1024 * 1024
 """The most bytes of bodies that wait under a subscription. One may always wait; light bodies do not count."""
@@ -56,10 +65,19 @@ class QueuePolicy(msgspec.Struct, frozen=True):
         limit: how many packets wait at the most.
         reliable: whether a packet that finds no room is refused to its publisher; else the oldest falls
             out and is counted.
+        urgent: whether the packets go before all others, also while the reader awaits or is paused; one that finds
+            no room is dropped and counted. Not for authors: their handlers run one at a time, in order.
     """
 
     limit: int
     reliable: bool = False
+    urgent: bool = False
+
+    def __str__(self) -> str:
+        """Return it as an author writes it after `queue=`: `latest`, `100`, `reliable(100)`."""
+        if self.reliable:
+            return f"reliable({self.limit})"
+        return str(self.limit) if self.limit > 1 else "latest"
 
     @property
     def counts_losses(self) -> bool:
@@ -447,6 +465,26 @@ def periods_of(cls: type) -> dict[str, Period]:
     return {name: period for name in _names(cls) if (period := getattr(getattr(cls, name), PERIOD, None)) is not None}
 
 
+def answers_of(cls: type) -> dict[str, str]:
+    """Return the names of the methods of a class that answer requests, by the packet type of the request.
+
+    Raises:
+        ClassError: two of them answer the same.
+    """
+    found: dict[str, str] = {}
+    for name in _names(cls):
+        request = getattr(getattr(cls, name), ANSWERS, None)
+        if request is None:
+            continue
+        other = found.setdefault(type_name(request), name)
+        if other != name:
+            raise ClassError(
+                f"{_head(getattr(cls, name))} answers {request.__name__}, as {other} does, and a request has one"
+                " answer: leave one of them out"
+            )
+    return found
+
+
 def _both(method: Any) -> ClassError:
     return ClassError(
         f"{_head(method)} is decorated with both @on and @every, and one gives it a Packet, the other a Tick: write two"
@@ -511,12 +549,14 @@ class Plan(NamedTuple):
             for each. Not to be changed.
         periods: the time-driven methods.
         awaits: whether one of its methods is `async def`.
+        answers: the names of the methods that answer requests, by the packet type of the request.
     """
 
     subscriptions: tuple[Subscription, ...]
     handlers: dict[str, Handlers]
     periods: dict[str, Period]
     awaits: bool
+    answers: dict[str, str]
 
 
 HOOKS_AWAITED: Final = ("on_start", "on_stop")
@@ -541,9 +581,10 @@ def plan_of(cls: type, core: type | None = None) -> Plan:
         handle = only_addressed(handler) if subscription.addressed else handler
         handlers.setdefault(subscription.channel, Handlers()).add(subscription.type, handle)
     periods = periods_of(cls)
-    others = (*periods, *HOOKS_AWAITED)
+    answers = answers_of(cls)
+    others = (*periods, *HOOKS_AWAITED, *answers.values())
     awaits = bool(channels_awaited) or any(is_async(getattr(cls, name, None)) for name in others)
-    return Plan(tuple(subscription for subscription, _ in adapted), handlers, periods, awaits)
+    return Plan(tuple(subscription for subscription, _ in adapted), handlers, periods, awaits, answers)
 
 
 def adapted_handler(method: Callable[..., Any], beside_async: bool = False) -> Handler:

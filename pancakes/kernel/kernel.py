@@ -15,14 +15,14 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from msgspec.structs import replace
 
-from pancakes.errors import PancakesError, package_of
+from pancakes.errors import PancakesError, RefusalCode, package_of
 from pancakes.events import LogLine
 from pancakes.kernel.actor import ActorCore, Component, core_of
 from pancakes.kernel.dead_letters import DeadLetters, Unheard
 from pancakes.kernel.dispatchers import Dispatcher, Guest, PinnedDispatcher, PoolDispatcher
 from pancakes.kernel.mailbox import Reference, Runnable, tell
 from pancakes.kernel.permits import PermitEnd, Permits, moment_of_host
-from pancakes.kernel.providers import GuardNotes, NoPeers, PeerClock, PeerRights
+from pancakes.kernel.providers import GuardNotes, HaltNote, NoPeers, PeerClock, PeerRights
 from pancakes.kernel.registry import Registry, TaskTable
 from pancakes.kernel.stream import InformationStream
 from pancakes.kernel.timer import HeardTick, Timer, TimerTable, TurnMeter, VirtualTimer
@@ -131,6 +131,7 @@ class Kernel:
         registry: the actors that run here.
         permits: which guarded tasks may act.
         guard_notes: what is known of the guardians of those that are owned here.
+        halt: whether the actuators have to stand.
         tasks: the tasks of all services, at rest or not.
         task_timers: what ticks here.
         dead_letters: packets whose handlers failed.
@@ -173,6 +174,7 @@ class Kernel:
         self.registry = Registry()
         self.permits = Permits(moment_of_host if virtual is None else self._virtual_moment, self.log)
         self.guard_notes = GuardNotes()
+        self.halt = HaltNote()
         self.tasks = TaskTable()
         self.task_timers = TimerTable()
         self.dead_letters = DeadLetters(self.log)
@@ -181,6 +183,7 @@ class Kernel:
             self.log,
             lambda: [it.address for it in self.registry.components()],
             lambda: [it.address for it in self.tasks.all()],
+            self._refuse_request,
             self.registry.device_types,
             self.host.now,
         )
@@ -360,6 +363,22 @@ class Kernel:
         mission = self.mission
         began_s = None if mission.held else mission.host_time(mission.start_s)
         return Timebase(began_s, mission.start_s, mission.speed)
+
+    def _refuse_request(self, packet: Packet, code: RefusalCode, reason: str) -> None:
+        """Answer a request that no task can take. Any thread."""
+        from pancakes.kernel.request_packets import REQUESTS, not_there  # few agents ever have to do with requests
+
+        found = not_there(packet, code, reason)
+        if found is None:
+            return
+        to, answered = found
+        address = f"{self.agent}/kernel"
+        number = self.seq_of(address).take()
+        packet = Packet(REQUESTS, type_name(answered), address, to, self.mission.now(), number, answered)
+        try:
+            self.stream.publish(packet)
+        except PancakesError:  # who asked finds out when the time is up
+            self.stream.undelivered += 1
 
     def log(self, level: str, text: str, traceback: str = "") -> None:
         """Publish a line on `log` in the kernel's own name; see `Component.log`. Any thread."""

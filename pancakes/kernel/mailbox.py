@@ -27,6 +27,11 @@ if TYPE_CHECKING:
     from pancakes.kernel.awaiting import ActorLoop
 
 
+ASK_TYPE: Final = "request.ask"
+REQUEST_TYPES: Final = frozenset((ASK_TYPE, "request.answer", "request.feedback", "request.cancel"))
+"""The types of `pancakes.kernel.request_packets`, which is imported once a task asks or is asked."""
+
+
 class _Heavy(NamedTuple):
     """A packet that waits and is no light one, with the bytes of its body."""
 
@@ -127,6 +132,39 @@ class TypeQueue:
         return len(self._entries)
 
 
+class UrgentQueue(TypeQueue):
+    """What waits under an urgent bound: its reader is told in the control lane, which goes first and never rests.
+
+    So a task that awaits an answer gets it, and one that works on a request hears that it was cancelled. What has come
+    waits here, and not in the control lane: it outlives an actor, and has a bound.
+    """
+
+    __slots__ = ()
+
+    def put(self, packet: Packet, weight: int = 0) -> None:
+        mailbox = self._mailbox
+        with mailbox.scales:
+            if self.policy.is_full(len(self._entries), self.bytes, weight):
+                self.lost += 1
+                return
+            self.bytes += weight
+            self._entries.append(_Heavy(packet, weight) if weight else packet)
+        component = mailbox.component
+        if component is not None:
+            mailbox.put(Told(component, Urgent()))
+
+    def clear(self) -> None:
+        """Forget what waits. By the reader."""
+        while self._entries:
+            self.take()
+
+
+class Urgent:
+    """Tells an actor that something waits in one of its urgent queues."""
+
+    __slots__ = ()
+
+
 class ChannelQueue:
     """What waits for one reader on one channel, with a bound for each type that it reads.
 
@@ -151,7 +189,8 @@ class ChannelQueue:
         if known is not None:
             known.bound(policy)
         else:
-            self._by_type = {**self._by_type, type_name: TypeQueue(self, policy)}
+            kind = UrgentQueue if policy.urgent else TypeQueue
+            self._by_type = {**self._by_type, type_name: kind(self, policy)}
 
     def of(self, type_name: str | None) -> TypeQueue:
         """Return where packets of a type wait that the reader reads; None: those without a bound of their own."""
@@ -162,6 +201,12 @@ class ChannelQueue:
         """Set what the reader does with packets of each type. In its turn."""
         for type_name, waiting in self._by_type.items():
             waiting.handlers = handlers[type_name]
+
+    def clear_urgent(self) -> None:
+        """Forget what waits besides the mailbox's order. By the reader."""
+        for waiting in self._by_type.values():
+            if isinstance(waiting, UrgentQueue):
+                waiting.clear()
 
     def drain(self) -> Iterator[Packet]:
         """Take out one by one the packets of this channel that wait now. By the reader."""
@@ -320,9 +365,11 @@ class Mailbox:
             return None
 
     def clear_data(self) -> None:
-        """Forget what waits in the data lane."""
+        """Forget what waits in the data lane and in urgent queues."""
         while self.take() is not None:
             pass
+        for queue in list(self.queues.values()):
+            queue.clear_urgent()
 
     def dropped(self) -> int:
         """Return how many packets were lost in all queues; see `ChannelQueue.dropped`."""

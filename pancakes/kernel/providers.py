@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, Protocol
 
 from pancakes.packet import Fence, LocalTime
@@ -35,6 +35,10 @@ class PeerRights(Protocol):
         """
         ...
 
+    @property
+    def bearer_of(self) -> Callable[[str], tuple[Any, bool] | None]:
+        """Takes the name of a peer; returns its bearer, and whether that is certified; None: it has no link."""
+
 
 class NoPeers:
     """The rights of peers at an agent that has none."""
@@ -42,6 +46,19 @@ class NoPeers:
     def fault(self, peer: str, right: Any, *on: str) -> str:
         """See `PeerRights`: nobody is refused."""
         return ""
+
+    def bearer_of(self, peer: str) -> None:
+        """See `PeerRights`: nobody is known."""
+
+
+class HaltNote:
+    """Whether the actuators of an agent have to stand. Any thread reads it; the agent sets it.
+
+    Attributes:
+        why: why, as a clause: `halted by alice: a child on the field`; empty: they need not.
+    """
+
+    why: str = ""
 
 
 class GuardNote(Protocol):

@@ -25,31 +25,35 @@ from pykka.messages import _ActorStop as ActorStop
 
 
 class Flag:
-    """What pykka uses of a `threading.Event`, with one lock and nothing else: there is one for each actor."""
+    """What pykka uses of a `threading.Event`, with one lock and nothing else: there is one for each actor.
 
-    __slots__ = ("_gate", "_on")
+    Attributes:
+        on: whether it has happened, as `is_set` says, for those who ask with each packet. Any thread.
+    """
+
+    __slots__ = ("_gate", "on")
 
     def __init__(self) -> None:
-        self._on = False
+        self.on = False
         self._gate = threading.Lock()  # held until it happens
         self._gate.acquire()
 
     def is_set(self) -> bool:
         """Return whether it has happened."""
-        return self._on
+        return self.on
 
     def set(self) -> None:
         """Say that it has happened."""
-        self._on = True
+        self.on = True
         with contextlib.suppress(RuntimeError):  # it had happened already
             self._gate.release()
 
     def wait(self, timeout: float | None = None) -> bool:
         """Wait until it happens, for at most `timeout` seconds; return whether it has."""
-        if not self._on and self._gate.acquire(timeout=-1 if timeout is None else timeout):
+        if not self.on and self._gate.acquire(timeout=-1 if timeout is None else timeout):
             with contextlib.suppress(RuntimeError):
                 self._gate.release()  # for the next thread that waits
-        return self._on
+        return self.on
 
 
 if TYPE_CHECKING:

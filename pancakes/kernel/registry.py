@@ -38,11 +38,42 @@ class DeviceEntry(msgspec.Struct, frozen=True):
     watchdog_s: float | None = None
 
 
+class Loan(msgspec.Struct, frozen=True):
+    """An actuator that somebody drives by hand.
+
+    Attributes:
+        device: the actuator's name.
+        address: the task that has it meanwhile.
+        by: who drives, an agent's or a terminal's name.
+    """
+
+    device: str
+    address: str
+    by: str
+
+    @property
+    def why(self) -> str:
+        """Why no other task has the actuator, as a clause."""
+        return f"{self.by} drives {self.device} by hand"
+
+
 class Described(Protocol):
     """Tells how a device fares."""
 
     def describe(self, now_s: float) -> dict[str, Any]:
         """Return that as plain values.
+
+        Args:
+            now_s: mission time.
+        """
+        ...
+
+
+class DescribedFilters(Protocol):
+    """Tells what the filters of an actuator do."""
+
+    def describe(self, now_s: float) -> list[dict[str, Any]]:
+        """Return that as plain values, a mapping for each.
 
         Args:
             now_s: mission time.
@@ -66,7 +97,10 @@ class Registry:
         ] = {}  # of all devices that ever ran: one may be down, and is to hold all the same
         self._holders: dict[str, str] = {}
         self._reserved: dict[str, str] = {}
+        self._loans: dict[str, Loan] = {}
         self._readings: dict[str, Described] = {}
+        self._filters: dict[str, DescribedFilters] = {}
+        self._moving: set[str] = set()
 
     def add(self, component: Reference) -> None:
         """Add an actor.
@@ -103,6 +137,35 @@ class Registry:
         """Return what tells how a device fares; None: it was never opened."""
         with self._lock:
             return self._readings.get(device)
+
+    def set_filters(self, device: str, filters: DescribedFilters) -> None:
+        """Add what tells what the filters of an actuator do; it stays when the device stops."""
+        with self._lock:
+            self._filters[device] = filters
+
+    def filters(self, device: str) -> DescribedFilters | None:
+        """Return what tells what the filters of an actuator do; None: it has none, or was never opened."""
+        with self._lock:
+            return self._filters.get(device)
+
+    def note_moving(self, device: str, moving: bool) -> None:
+        """Take note whether an actuator carries out commands, or is in its safe hold."""
+        with self._lock:
+            if moving:
+                self._moving.add(device)
+            else:
+                self._moving.discard(device)
+
+    def moving(self) -> list[str]:
+        """Return the names of the actuators that are not in their safe hold, sorted."""
+        with self._lock:
+            return sorted(self._moving)
+
+    def is_actuator(self, device: str) -> bool:
+        """Return whether a device runs and takes commands."""
+        with self._lock:
+            entry = self._devices.get(device)
+            return entry is not None and entry.actuator
 
     def add_device(self, device: DeviceEntry) -> None:
         """Add a device that has come to run."""
@@ -179,8 +242,10 @@ class Registry:
             return self._taken(device, address)
 
     def _taken(self, device: str, address: str) -> str:
-        holder = self._holders.get(device, address)
-        if holder != address:
+        holder = self._holders.get(device, "")
+        if holder != address and (loan := self._loans.get(device)) is not None and loan.address != address:
+            return loan.why
+        if holder not in ("", address):
             return f"{device} is held by {holder}"
         kept_for = self._reserved.get(device, address)
         return "" if kept_for == address else f"{device} is kept for {kept_for}, which is about to start"
@@ -196,9 +261,10 @@ class Registry:
         return self._addresses.get(device, "")
 
     def held_by(self, address: str) -> list[str]:
-        """Return the names of the devices that a task holds."""
+        """Return the names of the devices that a task holds, without those that somebody else drives."""
         with self._lock:
-            return [name for name, holder in self._holders.items() if holder == address]
+            held = [name for name, holder in self._holders.items() if holder == address]
+            return [name for name in held if name not in self._loans]
 
     def without_dead_man(self, address: str) -> list[str]:
         """Return the names of the actuators that a task holds, and that keep their last command when it is gone."""
@@ -212,8 +278,39 @@ class Registry:
             self._holders = {name: holder for name, holder in self._holders.items() if holder != address}
 
     def holder(self, device: str) -> str:
-        """Return the address of the task that holds a device; empty if none does."""
+        """Return the address of the task that a device obeys; empty if there is none."""
+        loan = self._loans.get(device)
+        return loan.address if loan is not None else self._holders.get(device, "")
+
+    def lend(self, loan: Loan) -> str:
+        """Let a device obey another task than its holder until `end_loan`; return the holder's address, if any.
+
+        A loan that lasts is replaced, as by one of another driver.
+        """
+        with self._lock:
+            self._loans[loan.device] = loan
+            return self._holders.get(loan.device, "")
+
+    def end_loan(self, device: str) -> str:
+        """Let a device obey its holder again; return the holder's address, if any."""
+        with self._lock:
+            self._loans.pop(device, None)
+            return self._holders.get(device, "")
+
+    def lender(self, device: str) -> str:
+        """Return the address of the task that holds a device, lent or not; empty if none does."""
         return self._holders.get(device, "")
+
+    def loan(self, device: str) -> Loan | None:
+        """Return the loan of a device; None: it is not lent."""
+        return self._loans.get(device)
+
+    def waits_for(self, address: str) -> Loan | None:
+        """Return the loan of an actuator that a task holds, and which it waits for; None: it does not wait."""
+        if not self._loans:  # as nearly always
+            return None
+        with self._lock:
+            return next((it for name, it in self._loans.items() if self._holders.get(name) == address), None)
 
 
 class Slotted(Protocol):
@@ -246,6 +343,8 @@ class TaskEntry(msgspec.Struct, frozen=True):
         mailbox: where packets wait for it.
         rest: of a task that can move and does not run: why, in a word.
         device: of the task of a device its type; else empty.
+        version: the version of the distribution that its class comes from; empty: it cannot move.
+        rule: when it moves by itself, a `pancakes.migration.MigrationRule`; None: it does not.
     """
 
     service: str
@@ -258,6 +357,8 @@ class TaskEntry(msgspec.Struct, frozen=True):
     mailbox: Mailbox
     rest: str
     device: str
+    version: str
+    rule: Any
 
     @classmethod
     def of(cls, service: str, slot: Slotted) -> TaskEntry:
@@ -274,6 +375,8 @@ class TaskEntry(msgspec.Struct, frozen=True):
             slot.mailbox,
             slot.rest,
             spec.device,
+            spec.version,
+            spec.rule,
         )
 
 

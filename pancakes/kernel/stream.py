@@ -59,6 +59,8 @@ class Listener(msgspec.Struct):
     def bounds_and_queue(self) -> dict[str, Any]:
         """Return how it reads, as plain values: types are None for all of them; `limit` counts packets.
 
+        `queue` is as an author writes it: `latest`, `100` or `reliable(100)`; several if its types have different ones.
+
         `waiting_bytes` are those of the heavy packets among them, which `MOST_BYTES` bounds.
 
         It gets `open_types` whatever their destination, the other `types` only if a packet's destination names it.
@@ -67,7 +69,7 @@ class Listener(msgspec.Struct):
         return {
             "types": _names(self.types),
             "open_types": _names(self.open_types),
-            "keep": "reliable" if any(policy.reliable for policy in policies) else "newest",
+            "queue": ", ".join(dict.fromkeys(map(str, policies))),
             "limit": sum(policy.limit for policy in policies),
             "waiting": len(self.queue),
             "waiting_bytes": self.queue.heavy_bytes,
@@ -160,6 +162,8 @@ class InformationStream:
     Attributes:
         gateway: takes packets whose destination is another agent; the Network Service sets it.
         courier: takes packets whose destination is a task, wherever it is.
+        routes: where packets go, by channel, type and destination; those of publishers here by the class of the body.
+            A publisher reads it with each packet, and any thread may: an entry never changes, but may go.
         unheard: takes packets for a component of this agent, and commands, that none got; the kernel sets it.
     """
 
@@ -174,8 +178,7 @@ class InformationStream:
         self._taps: dict[str, tuple[tuple[Tap, tuple[str, ...], str], ...]] = {}
         self._outgoing: tuple[Tap, ...] = ()
         self._openers: tuple[Callable[[str], None], ...] = ()
-        # By channel, type and destination; a packet that is published here is found by the class of its body.
-        self._routes: dict[tuple[str, type | str, str], Route] = {}
+        self.routes: dict[tuple[str, type | str, str], Route] = {}
         self.undelivered = 0
 
     def channels(self) -> list[str]:
@@ -240,8 +243,8 @@ class InformationStream:
         route.give(packet)
         return len(route.queues)
 
-    def route(self, channel: str, body: Any, destination: str, source: str) -> Route:
-        """Return where packets with such a body go, for a publisher that makes one: `route.give(packet)` gives it.
+    def new_route(self, channel: str, body: Any, destination: str, source: str) -> Route:
+        """Return where packets with such a body go, for a publisher that did not find it in `routes`.
 
         Args:
             channel: their channel.
@@ -253,9 +256,7 @@ class InformationStream:
             UnknownChannelError: there is no such channel here.
             LocalProtocolError: the body is of no registered type.
         """
-        return self._routes.get((channel, body.__class__, destination)) or self._new_route(
-            channel, type_of(body), destination, source, body.__class__
-        )
+        return self._new_route(channel, type_of(body), destination, source, body.__class__)
 
     def inject(self, packet: Packet) -> int:
         """Publish a packet that came from another agent, on its own channel here.
@@ -295,7 +296,7 @@ class InformationStream:
         """
         first = packets[0]
         destination = "" if first.destination == NEIGHBOURS else first.destination
-        route = self._routes.get((first.channel, first.type, destination))
+        route = self.routes.get((first.channel, first.type, destination))
         if route is not None and size is not None and route.queues and not route.reliable and not route.taps:
             each = size // len(packets)
             route.give_all(packets, each if each > LIGHT_BYTES else 0)
@@ -377,7 +378,7 @@ class InformationStream:
                 readers.clear()
             self._taps.clear()
             self._outgoing = ()
-            self._routes.clear()
+            self.routes.clear()
             self.gateway = None
             self.courier = None
 
@@ -409,11 +410,11 @@ class InformationStream:
 
     def _forget(self, channel: str) -> None:
         """Drop the snapshots of one channel; they are built again when they are needed. Under the lock."""
-        for key in [key for key in self._routes if key[0] == channel]:
-            del self._routes[key]
+        for key in [key for key in self.routes if key[0] == channel]:
+            del self.routes[key]
 
     def _route_of(self, channel: str, type_name: str, destination: str, source: str) -> Route:
-        return self._routes.get((channel, type_name, destination)) or self._new_route(
+        return self.routes.get((channel, type_name, destination)) or self._new_route(
             channel, type_name, destination, source
         )
 
@@ -445,9 +446,9 @@ class InformationStream:
                     taps,
                     is_light or not queues,
                 )
-            if len(self._routes) >= MOST_ROUTES:
-                self._routes.clear()
-            self._routes[channel, body_class or type_name, destination] = route
+            if len(self.routes) >= MOST_ROUTES:
+                self.routes.clear()
+            self.routes[channel, body_class or type_name, destination] = route
             return route
 
     def _queues(self, readers: Iterable[Listener], type_name: str, destination: str) -> list[TypeQueue]:

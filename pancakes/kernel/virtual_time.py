@@ -89,7 +89,7 @@ class VirtualDispatcher(Dispatcher):
         component = work[-1].component
         name = component.address if component is not None else "a task between restarts"
         raise PancakesError(
-            f"virtual time stands still at {self.clock.now()} s: after {MOST_TURNS} turns {name} still has work"
+            f"virtual time does not get past {self.clock.now()} s: after {MOST_TURNS} turns {name} still has work"
         )
 
     def step(self) -> bool:

@@ -17,8 +17,12 @@ import msgspec
 
 DEFAULT_FLEET: Final = "default"
 """The fleet of agents whose configuration names none."""
+DEFAULT_PORT: Final = 7401
+"""The port of an agent whose `tcp://` address names none."""
 LOCAL: Final = "local"
 """The scheme of addresses within one machine: `local://NAME`, `local://FLEET/NAME`, `local:///PATH`."""
+MDNS: Final = "mdns:"
+"""In the place of an address: the agents that announce themselves on the networks of this machine."""
 
 _LOCAL_NAME = re.compile(r"local://(?P<name>[A-Za-z0-9_][A-Za-z0-9_.-]*(?:/[A-Za-z0-9_][A-Za-z0-9_.-]*)?)")
 _ADDRESS = re.compile(
@@ -126,21 +130,29 @@ def fault_of_interface(text: str) -> str:
     return f"{text!r} needs the interface that leads there: write [{there.host}%eth0], with a name that ip link shows"
 
 
+def with_port(text: str) -> str:
+    """Return the address of an agent with its port: `tcp://robot1` is `tcp://robot1:7401`. Other text stays."""
+    found = _ADDRESS.fullmatch(text)
+    if found and found["scheme"] == "tcp" and not found["path"] and found["port"] is None:
+        return f"{text}:{DEFAULT_PORT}"
+    return text
+
+
 def spelt(text: str) -> str:
-    """Return an address in its normal form, so that two can be compared; any other text stays as it is."""
+    """Return an agent's address in its normal form, so that two can be compared; any other text stays as it is."""
     try:
-        return str(parse_address(text))
+        return str(parse_address(with_port(text)))
     except ValueError:
         return text
 
 
 def dialled(text: str) -> str:
-    """Return the address that `HOST:PORT` means; an address with a scheme stays as it is.
+    """Return the address that `HOST` or `HOST:PORT` means; an address with a scheme and a port stays as it is.
 
     Raises:
         ValueError: it is not an address, or no agent can be reached there; the message says why.
     """
-    address = text if "://" in text else f"tcp://{text}"
+    address = with_port(text if "://" in text else f"tcp://{text}")
     if parse_address(address).any_port:
         raise ValueError(f"{text!r} has the port 0, at which no agent can be reached")
     if fault := fault_of_interface(address):

@@ -31,7 +31,7 @@ from pancakes.mesh.link import (
     Up,
 )
 from pancakes.mesh.links import Alarm, LinkLog, Links
-from pancakes.mesh.messages import Goodbye, Gossip, Hello, Identity, LinkNews, Refusal
+from pancakes.mesh.messages import AgentSeen, Goodbye, Gossip, Hello, Identity, LinkNews, Refusal
 from pancakes.mesh.partial_mesh import DropWaiting, FewLinks
 from pancakes.mesh.peer_clocks import PeerClocks
 from pancakes.mesh.peers import RESTS_S, Admit, Decision, Dial, Peers, Rest, is_namesake
@@ -240,6 +240,15 @@ class Mesh:
         """Dial these addresses as well, as if a peer had named them."""
         self._post(self._learn, tuple(addresses))
 
+    def hear_of(self, agents: Sequence[AgentSeen], by: str) -> None:
+        """Dial these agents as well, as if a peer had named them.
+
+        Args:
+            agents: the agents, each at an address that this machine can dial.
+            by: who names them: the bounds for what one peer names hold for it. No name of an agent.
+        """
+        self._post(self._hear_of, tuple(agents), by)
+
     def redial(self) -> None:
         """Dial all known addresses without a connected agent now, instead of at their next attempt."""
         self._post(self._redial)
@@ -335,6 +344,11 @@ class Mesh:
     def _learn(self, addresses: tuple[str, ...]) -> None:
         if self._peers is not None and self._state == "running":
             self._carry_out(self._peers.on_addresses(addresses, self._now()))
+
+    def _hear_of(self, agents: tuple[AgentSeen, ...], by: str) -> None:
+        if self._peers is not None and self._state == "running":
+            for it in agents:
+                self._carry_out(self._peers.on_gossip((it,), self._now(), by, it.address))
 
     def _seek(self, agent: str) -> None:
         if self._peers is not None and self._state == "running":

@@ -17,7 +17,7 @@ from pancakes.util import codecs
 from pancakes.util.text import fault_of_name
 from pancakes.util.timebase import Moment, Timebase
 
-VERSION: Final = 12
+VERSION: Final = 13
 """Version of the wire protocol. Agents of different versions do not talk."""
 
 HELLO_NUMBER: Final = 1

@@ -113,7 +113,7 @@ def needs_keys(address: str, name: str = "NAME") -> str:
         address: the address.
         name: the agent's name.
     """
-    return f"{address!r} needs keys: run pancakes fleet join, or use local://{name} for this machine alone"
+    return f"{address!r} needs keys: run pancakes keys join, or use local://{name} for this machine only"
 
 
 def _address(place: Any) -> str:

@@ -259,7 +259,7 @@ class Trust:
             PancakesError: it cannot be used, or there are no keys.
         """
         if self._keys is None:
-            raise PancakesError("it has no keys: pancakes fleet join, and start it again")
+            raise PancakesError("it has no keys: pancakes keys join, and start it again")
         is_new = self._keys.reload(dry_run)
         if dry_run or not is_new:
             return is_new

@@ -3,11 +3,13 @@
 | packet | schema and topic, below `/viewer/AGENT` |
 |---|---|
 | `pose` | `PoseInFrame` on `DEVICE`, `PosesInFrame` on `DEVICE/path`, `FrameTransforms` on `DEVICE/transform` |
-| `ir`, `sonar` | `LaserScan` on `DEVICE` |
+| `pose_3d` | `PoseInFrame` on `DEVICE` |
+| `ir`, `sonar`, `laser_scan` | `LaserScan` on `DEVICE` |
 | `world_state` | `SceneUpdate` on `world` |
 | `event`, `line` | `Log` on `log` |
 
-Poses and the world are in the frame `world`, scans in that of the body, which has the name of its agent.
+Poses and the world are in the frame `world`, scans in that of the body, which has the name of its agent. A reading that
+names its frame is in that frame.
 """
 
 from __future__ import annotations
@@ -24,7 +26,7 @@ from pancakes.recording.causal_chains import body_text
 from pancakes.recording.records import NANOSECONDS, RecordedPacket
 from pancakes.util import codecs
 
-SHOWN: Final = ("event", "ir", "line", "pose", "sonar", "world_state")
+SHOWN: Final = ("event", "ir", "laser_scan", "line", "pose", "pose_3d", "sonar", "world_state")
 """The packet types that are shown."""
 FRAME: Final = "world"
 TRAIL: Final = 300
@@ -76,6 +78,10 @@ class Viewer:
                 yield from self._pose(entry)
             elif packet.type in ("ir", "sonar"):
                 yield _scan(entry)
+            elif packet.type == "pose_3d":
+                yield _pose_3d(entry)
+            elif packet.type == "laser_scan":
+                yield _laser_scan(entry)
 
     def _is_due(self, entry: RecordedPacket) -> bool:
         source, time_ns = entry.packet.source, entry.time_ns
@@ -155,6 +161,33 @@ def _log(entry: RecordedPacket) -> ViewerMessage:
         "line": 0,
     }
     return _message(f"/viewer/{entry.agent}/log", "foxglove.Log", entry.time_ns, plain)
+
+
+def _pose_3d(entry: RecordedPacket) -> ViewerMessage:
+    body, device = entry.packet.body, entry.packet.source.rpartition("/")[2]
+    plain = {
+        "timestamp": _time(entry.time_ns),
+        "frame_id": body.frame,
+        "pose": {
+            "position": {"x": body.x_m, "y": body.y_m, "z": body.z_m},
+            "orientation": dict(zip("xyzw", body.orientation, strict=True)),
+        },
+    }
+    return _message(f"/viewer/{entry.agent}/{device}", "foxglove.PoseInFrame", entry.time_ns, plain)
+
+
+def _laser_scan(entry: RecordedPacket) -> ViewerMessage:
+    body, device = entry.packet.body, entry.packet.source.rpartition("/")[2]
+    plain = {
+        "timestamp": _time(entry.time_ns),
+        "frame_id": body.frame or entry.agent,
+        "pose": _pose(0.0, 0.0, 0.0),
+        "start_angle": body.start_rad,
+        "end_angle": body.start_rad + body.step_rad * (len(body.ranges_mm) - 1),
+        "ranges": [range_mm / 1000 for range_mm in body.ranges_mm],
+        "intensities": [1.0 if 0 < range_mm < 1000 * body.max_range_m else 0.0 for range_mm in body.ranges_mm],
+    }
+    return _message(f"/viewer/{entry.agent}/{device}", "foxglove.LaserScan", entry.time_ns, plain)
 
 
 def _scan(entry: RecordedPacket) -> ViewerMessage:

@@ -395,7 +395,7 @@ class TaskPresence:
     Attributes:
         task_id: the permanent identity of the task.
         agent: where it was.
-        epoch: how many times it had been handed over.
+        epoch: the number of the epoch under which its agent owned it.
         published: the number of packets that it published there.
     """
 

@@ -67,7 +67,7 @@ class TaskDescription(msgspec.Struct, frozen=True):
         task_id: its identity for life, `birthplace/name`; empty for a task that cannot move.
         address: its address then.
         type: the name of its class's entry point, or of its class.
-        epoch: how often it had been handed over.
+        epoch: the number of the epoch under which its agent owned it.
         mission_s: its agent's mission time at this description.
         settings: its settings, as plain values.
         state: its state, as plain values.

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Final
 
-from pancakes.control import CONTROLS, Reply
+from pancakes.control import CONTROLS, Reload, Reply
 from pancakes.packet import CORE_CHANNELS, CTRL, NETWORK, SYSCTRL, SYSTEM, Packet, agent_of, type_name
 from pancakes.security.roster import AccessRule, Bearer, Right, Roster, allows
 
@@ -41,13 +41,15 @@ def may_be_replayed(channel: str) -> bool:
 _ASKING: Final = frozenset(map(type_name, CONTROLS))
 _CONTROL_TYPES: Final = _ASKING | {type_name(Reply)}
 _MOST_KNOWN: Final = 4096
-_AMONG_ITSELF: Final = ("migration.", "guard.", "post.", "task.")
-"""Types of packets that answer a request: the state machines know which agents they asked."""
+_AMONG_ITSELF: Final = ("migration.", "guard.", "halt.", "post.", "task.")
+"""Types of packets whose right is checked where they are read, or that answer a request: the state machines know which
+agents they asked."""
 
 
 def right_of(body: object) -> Right:
     """Return the right that a control packet needs."""
-    return "look" if getattr(body, "dry_run", False) else CONTROLS[type(body)]
+    tries = getattr(body, "dry_run", False) and not isinstance(body, Reload)  # also a try of that runs what it imports
+    return "look" if tries else CONTROLS[type(body)]
 
 
 def asks(packet: Packet) -> bool:
@@ -58,7 +60,7 @@ def asks(packet: Packet) -> bool:
 def needs(packet: Packet) -> tuple[Right, tuple[str, ...]] | None:
     """Return the right that a packet of a peer needs to enter, and its targets; None: none here.
 
-    Control packets, hand-offs and letters to tasks are checked later, when their target is known.
+    Control packets, migrations and letters to tasks are checked later, when their target is known.
     """
     channel, kind = packet.channel, packet.type
     if channel == SYSCTRL and kind in _CONTROL_TYPES:
@@ -151,7 +153,7 @@ class Access:
         if known:
             return ""
         number = roster.number if roster is not None else 0
-        grant = f"pancakes fleet allow {who.name} {right} --on '{on[0]}' --at {self._agent}"
+        grant = f"pancakes keys allow {who.name} {right} --on '{on[0]}' --agent {self._agent}"
         return f"{self._lacks(who, right, on)} (roster {number}). To grant it: {grant}"
 
     def _lacks(self, who: Bearer, right: Right, on: tuple[str, ...]) -> str:

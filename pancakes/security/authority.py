@@ -179,8 +179,10 @@ class Authority:
         """Revoke all certificates of a bearer, and sign a new roster.
 
         Raises:
-            PancakesError: the bearer has none, or the roster cannot be signed.
+            PancakesError: the bearer has none, there is no reason, or the roster cannot be signed.
         """
+        if not why.strip():
+            raise PancakesError("a revocation needs a reason, for those who read the register later")
         self.latest(who)
         gone = self._register.of(who)
         kept = tuple(replace(it, revoked=why) if it in gone else it for it in self._register.entries)

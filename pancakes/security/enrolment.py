@@ -110,7 +110,7 @@ class Desk:
         self._now = MonotonicClock().now
         self._until_s = self._now() + open_s
         key = new_key()
-        name = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, "pancakes fleet enrol")])
+        name = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, "pancakes keys enrol")])
         now = datetime.datetime.fromtimestamp(wall_ns() / 1e9, datetime.UTC)
         shown = (
             x509.CertificateBuilder()
@@ -229,7 +229,7 @@ def join(text: str) -> KeyFiles:
             answer = plain_of(tls.makefile("rb").readline(MOST_BYTES) or b"{}")
     except OSError as error:
         why = (error.strerror or str(error)).lower()
-        raise PancakesError(f"{place} cannot be reached: {why}. Is pancakes fleet enrol still waiting there?") from None
+        raise PancakesError(f"{place} cannot be reached: {why}. Is pancakes keys enrol still waiting there?") from None
     except ValueError:
         raise PancakesError(f"the answer of {place} cannot be read") from None
     if isinstance(answer, dict) and "error" in answer:

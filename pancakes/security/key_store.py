@@ -247,7 +247,7 @@ class Register(msgspec.Struct, frozen=True):
         """
         for it in self.of(name):
             raise PancakesError(
-                f"{it.who} belongs to the fleet {fleet} already: renew it with pancakes fleet renew {name}, or revoke"
+                f"{it.who} belongs to the fleet {fleet} already: renew it with pancakes keys renew {name}, or revoke"
                 " it first"
             )
 
@@ -259,7 +259,7 @@ class Register(msgspec.Struct, frozen=True):
         """
         found = self.of(who)
         if not found:
-            raise PancakesError(f"the register of the fleet {fleet} has no {who}: see pancakes fleet list")
+            raise PancakesError(f"the register of the fleet {fleet} has no {who}: see pancakes keys list")
         return found[-1]
 
 
@@ -292,7 +292,7 @@ def write_register(folder: Path, register: Register) -> None:
 RULES: Final = "rules.toml"
 _HEAD: Final = """\
 # What the members of this fleet may do. What no rule allows is refused; the order does not matter.
-# After a change: pancakes fleet sign. The rights, and what they are for, are in docs/security.md.
+# After a change: pancakes keys sign. The rights, and what they are for, are in docs/security.md.
 """
 
 

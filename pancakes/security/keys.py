@@ -82,9 +82,10 @@ class Keys:
                 f"the new key in {self.folder} is of {new.own.name} ({new.own.role}) in the fleet {new.own.fleet}: the"
                 f" old one, of {self.own.name}, stays in use"
             )
+        is_new = new.own != self.own  # the fleet's certificate is written before the key, and is seen first
         if not dry_run:
             self.dialling, self.listening, self.own = new.dialling, new.listening, new.own
-        return True
+        return is_new
 
     def fault_of(self, shown: Certified) -> str:
         """Return why a certificate of the authority is not trusted, as a clause; empty: it is."""

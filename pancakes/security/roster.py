@@ -110,7 +110,7 @@ def fault_of_end(it: Certified, time_s: float) -> str:
 
 
 Right = Literal[
-    "look", "change", "move", "adopt", "end", "host", "guard", "command", "write", "publish", "replay"
+    "look", "change", "move", "adopt", "end", "halt", "drive", "host", "guard", "command", "write", "publish", "replay"
 ]  # docs/security.md has a line for each
 RIGHTS: Final[tuple[Right, ...]] = get_args(Right)
 EVERY: Final = "*"
@@ -153,7 +153,7 @@ class AccessRule(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 DEFAULT: Final = (
     AccessRule(("role:operator",), (EVERY,)),
     AccessRule(("role:observer",), ("look",)),
-    AccessRule(("role:agent",), ("publish", "look", "host", "guard", "write")),
+    AccessRule(("role:agent",), ("publish", "look", "host", "guard", "write", "halt")),
     AccessRule(("role:environment",), ("publish",)),
 )
 """The rules of a new fleet."""
@@ -295,7 +295,7 @@ def fault_of_news(new: Roster, last: Roster | None, fleet: str, now_s: float) ->
         days = (new.signed_s - latest_s + LATEST_S) / 86_400
         return (
             f"the roster {new.number} is dated {days:.0f} days after the last one and the own clock: set that clock, or"
-            " that of the machine that signs; or sign it with pancakes fleet sign --any-date"
+            " that of the machine that signs; or sign it with pancakes keys sign --any-date"
         )
     return ""
 

@@ -11,20 +11,23 @@ from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
 
-from pancakes.control import Hold, SetFence
+from pancakes.control import Drive, EndDrive, Hold, SetFence
 from pancakes.devices.driver import Actuator, Driver, Sensor
-from pancakes.devices.health import Line, MissRule, Readings
+from pancakes.devices.health import ROUNDING_S, Line, MissRule, Readings
 from pancakes.devices.validation import fault_of_command, reading_check
-from pancakes.durable.ownership import TaskAt
+from pancakes.durable.messages import Known
 from pancakes.errors import MailboxFullError, NoPermitError, PancakesError, describe
 from pancakes.events import Log
+from pancakes.filters.chain import SETTING, FilterChain, FilterSpec, settings_with_filters
+from pancakes.filters.filter import Held
 from pancakes.kernel.handlers import Tick, every, on
 from pancakes.kernel.mailbox import Mailbox
 from pancakes.kernel.registry import DeviceEntry
 from pancakes.mesh.transport import Transport
-from pancakes.packet import CTRL, NETWORK, SYSTEM, Packet, agent_of, body_class, is_of_type
+from pancakes.packet import CTRL, NETWORK, SYSTEM, Fence, Packet, agent_of, body_class, is_of_type
 from pancakes.service import Service
 from pancakes.services.fence import ActuatorFence, FencesOfAgent
+from pancakes.settings import plain_settings
 from pancakes.supervision.messages import ChangeTask
 from pancakes.supervision.restart import RestartSpec
 from pancakes.supervision.service_core import ServiceCore
@@ -37,8 +40,12 @@ if TYPE_CHECKING:
 
     from pancakes.kernel.kernel import Kernel
     from pancakes.kernel.timer import OneShot
+    from pancakes.services.driving import Driving
+    from pancakes.supervision.lifecycle import Request
 
 
+_Class = type
+"""A field of `DeviceSpec` is called `type`."""
 MOST_REFUSED: Final = 256
 """For at most this many sources, the reason why their commands were refused is remembered."""
 
@@ -56,6 +63,8 @@ class DeviceSpec(msgspec.Struct, frozen=True):
         restart: what happens when the driver fails.
         missed: when readings or commands that fail are too many, so that the device fails.
         silent_s: a sensor without a reading for so long, in mission seconds, is silent; None: as its driver says.
+        filters: what a command to an actuator passes, in this order, before its driver gets it.
+        drive_stop_s: an actuator that is driven by hand stops after this host time without a word of its driver.
     """
 
     name: str
@@ -67,12 +76,31 @@ class DeviceSpec(msgspec.Struct, frozen=True):
     restart: RestartSpec
     missed: MissRule = MissRule()
     silent_s: float | None = None
+    filters: tuple[FilterSpec, ...] = ()
+    drive_stop_s: float = 0.5
+
+    @property
+    def settings_class(self) -> _Class:
+        """The class of the device's settings: those of its driver, and those of its filters."""
+        return settings_with_filters(self.cls.Settings, tuple((it.name, it.cls.Settings) for it in self.filters))
+
+    @property
+    def all_settings(self) -> Mapping[str, Any]:
+        """The device's settings as plain values."""
+        if not self.filters:
+            return self.settings
+        return {**self.settings, SETTING: {it.name: dict(it.settings) for it in self.filters}}
 
 
 class SharedThings:
-    """What the drivers of one agent share, such as the connection to a bus. Any thread."""
+    """What the drivers of one agent share, such as the connection to a bus. Any thread.
+
+    Attributes:
+        kept: what each filter keeps while its device is restarted, by device and filter. The device's actor uses it.
+    """
 
     def __init__(self) -> None:
+        self.kept: dict[tuple[str, str], dict[str, Any]] = {}
         self._lock = threading.Lock()
         self._things: dict[str, Future[Any]] = {}
 
@@ -115,12 +143,10 @@ class TaskContext:
         self.random: random.Random = task.random
         self.transport: Transport = task.kernel.transport
         self.virtual = task.kernel.virtual is not None
+        self.deliver = task.deliver  # not wrapped: a driver's thread calls it with each reading
 
     def now(self) -> float:
         return self._task.now()
-
-    def deliver(self, body: Any) -> None:
-        self._task.deliver(body)
 
     def missed(self, why: str) -> None:
         self._task.missed(why)
@@ -160,7 +186,7 @@ class DeviceTask(TaskCore, Task):
 
     An actuator obeys the task that holds it (the kernel's registry says which) and, of that task, no epoch lower than
     the highest it has seen. A new epoch is on disk before it is obeyed; the newest command waits that long. Without a
-    fresh command it goes to its safe hold.
+    fresh command it goes to its safe hold. What it obeys passes its filters before the driver gets it.
     """
 
     def __init__(
@@ -174,8 +200,8 @@ class DeviceTask(TaskCore, Task):
         fences: FencesOfAgent,
         **others: Any,
     ) -> None:
-        # The settings of a device are its driver's.
-        self.Settings = device.cls.Settings  # type: ignore[misc]
+        # The settings of a device are those of its driver and of its filters.
+        self.Settings = device.settings_class  # type: ignore[misc]
         super().__init__(kernel, address, mailbox, **others)
         self.device = device
         self.blocking = device.cls.blocking
@@ -188,6 +214,10 @@ class DeviceTask(TaskCore, Task):
         self._guard_shot: OneShot | None = None
         self._guard_s = math.inf
         self._holding = True
+        self._chain: FilterChain | None = None
+        self._filtered: Any = None  # what the filters have made of the newest command: a command, or `Held`
+        self._opened_with: Mapping[str, Any] | None = None
+        self._check_shot: OneShot | None = None
         self._crowded = False
         self._checks: dict[type, Callable[[Any], str]] = {}  # of readings, by the classes that have come
         self._refused: dict[str, str] = {}
@@ -200,26 +230,45 @@ class DeviceTask(TaskCore, Task):
     def on_start(self) -> None:
         driver_class = self.device.cls
         self._context = TaskContext(self, self._shared)
+        if self.device.filters:
+            filters, kept = self.device.filters, self._shared.kept
+            self._chain = FilterChain(self, driver_class.type, filters, self.settings, kept)
+            self.kernel.registry.set_filters(self.name, self._chain.accounts)
+            self._chain.open()
         self._open_driver()
         actuator = isinstance(self.driver, Actuator)
         if actuator:
             self.subscribe(CTRL, driver_class.type, self.command)
-            self.subscribe(NETWORK, TaskAt, self._told_where)
+            self.subscribe(NETWORK, Known, self._told_where)
         alone_s = self._actuator.watchdog_s(self.device.hold_after_s) if self._actuator is not None else None
         self.kernel.registry.add_device(
             DeviceEntry(self.name, driver_class.type, actuator, driver_class.networked, self.address, alone_s)
         )
 
     def on_settings(self) -> None:
+        if self._chain is not None:
+            self._chain.take_settings(self.settings)
+            if self._settings_of_driver() == self._opened_with:
+                return  # the wheels need not stop because a filter has changed
         # A driver reads its settings when it is opened, so it is opened again.
         self._close_driver()
         self._open_driver()
 
+    def _settings_of_driver(self) -> Mapping[str, Any]:
+        return {key: value for key, value in plain_settings(self.settings).items() if key != SETTING}
+
     def on_stop(self) -> None:
         self.kernel.registry.remove_device(self.name)
-        self._close_driver()
+        try:
+            self._close_driver()
+        finally:
+            chain, self._chain = self._chain, None
+            if chain is not None:
+                chain.close()
 
     def _open_driver(self) -> None:
+        if self._chain is not None:
+            self._opened_with = self._settings_of_driver()
         self.driver = driver = self.device.cls(self._context, self.settings)
         # Which of the two it is, is asked for each reading and each command.
         self._sensor = driver if isinstance(driver, Sensor) else None
@@ -248,9 +297,11 @@ class DeviceTask(TaskCore, Task):
         driver, self.driver, self._sensor, self._actuator = self.driver, None, None, None
         if driver is None:
             return
+        self._holding, self._filtered = True, None
         try:
             if isinstance(driver, Actuator):
                 driver.safe_stop()
+                self.kernel.registry.note_moving(self.name, False)
         finally:
             driver.close()
 
@@ -278,9 +329,12 @@ class DeviceTask(TaskCore, Task):
 
     def deliver(self, reading: Any) -> None:
         """Publish a reading on `system`; one of another class, or whose numbers are none, is missed. Any thread."""
-        if self.actor_stopped.is_set():
+        if self.actor_stopped.on:
             return
-        if fault := self._fault_of(reading):
+        check = self._checks.get(reading.__class__)
+        if check is not None and not check(reading):  # as nearly all are
+            self._publish(reading)
+        elif fault := self._fault_of(reading):
             self.missed(fault)
         else:
             self._publish(reading)
@@ -337,6 +391,9 @@ class DeviceTask(TaskCore, Task):
 
     def command(self, packet: Packet) -> None:
         """Carry out a command of the actuator's holder; refuse those of all others."""
+        if halted := self.kernel.halt.why:
+            self._refuse(packet, halted)
+            return
         refusal = self._refusal(packet)
         if refusal:
             self._refuse(packet, refusal)
@@ -360,20 +417,21 @@ class DeviceTask(TaskCore, Task):
         if refusal := self._claim(packet.source):
             self._refuse(packet, refusal)
             return
-        driver = self._actuator
-        assert driver is not None
         refused = self._refused.pop(packet.source, "")
         now_s = self.now()
         before_s, self._good_until_s = self._good_until_s, now_s + ttl_s
-        self._holding = False
+        if self._holding:
+            self._holding = False
+            self.kernel.registry.note_moving(self.name, True)
         # What a virtual actuator sends on is said under the right of the task that commands it.
         self.fence = fence
         try:
-            driver.write(packet.body, ttl_s, packet.source)
+            self._carry_out(packet.body, ttl_s, packet.source, new=True)
         except NoPermitError:  # it was over before a virtual actuator had sent it on
             self._come_late(packet)
             return
         except Exception as error:
+            self._filtered = None  # it is not known what the hardware has got: the next command writes, or holds
             self._refused[packet.source] = why = describe(error, self.device.cls)
             if refused != why:
                 self.event("command_refused", device=self.name, by=packet.source, reason=why)
@@ -387,6 +445,57 @@ class DeviceTask(TaskCore, Task):
             self.fence = None
         if self._good_until_s < self._guard_s:
             self._guard_in(ttl_s)
+        if self._chain is not None and (check_s := self._chain.check_s) is not None:
+            self._check_in(check_s, packet, fence)
+
+    def _carry_out(self, command: Any, ttl_s: float, source: str, *, new: bool) -> None:
+        """Let a command pass the filters, and give the driver what comes of it.
+
+        Args:
+            command: the command's body.
+            ttl_s: for how long it is good.
+            source: the task that gave it.
+            new: whether it has just come; one that is looked at again is written only if it comes out otherwise.
+        """
+        driver, chain = self._actuator, self._chain
+        assert driver is not None
+        if chain is not None:
+            before, command = self._filtered, chain.apply(command, ttl_s, source)
+            self._filtered = command
+            if isinstance(command, Held):
+                if not isinstance(before, Held):
+                    chain.on_hold()
+                    driver.safe_stop()
+                return
+            if not new and command == before:
+                return
+        driver.write(command, ttl_s, source)
+
+    def _check_in(self, check_s: float, packet: Packet, fence: Fence | None) -> None:
+        """Let the newest command pass the filters again in some time, if no other has come by then."""
+        if self._check_shot is not None:
+            self._check_shot.cancel()
+        self._check_shot = self.after(check_s, lambda: self._check_again(packet, fence))
+
+    def _check_again(self, packet: Packet, fence: Fence | None) -> None:
+        self._check_shot = None
+        ttl_s = self._good_until_s - self.now()
+        if self._holding or self._chain is None or self.driver is None or ttl_s <= ROUNDING_S:
+            return
+        self.fence = fence
+        try:
+            self._carry_out(packet.body, ttl_s, packet.source, new=False)
+        except NoPermitError:
+            self._come_late(packet)
+            return
+        except Exception as error:
+            self._filtered = None  # it is not known what the hardware has got: the next look writes
+            if self.missed(describe(error, self.device.cls)):
+                raise
+        finally:
+            self.fence = None
+        if (check_s := self._chain.check_s) is not None:
+            self._check_in(check_s, packet, fence)
 
     def _come_late(self, packet: Packet) -> None:
         """A command is of a guarded task that may not act now."""
@@ -411,7 +520,8 @@ class DeviceTask(TaskCore, Task):
             return passed
         holder = self.kernel.registry.holder(self.name)
         if holder and packet.source != holder:
-            return f"it is held by {holder}"
+            loan = self.kernel.registry.loan(self.name)
+            return loan.why if loan is not None else f"it is held by {holder}"
         if not holder and agent_of(packet.source) == self.agent:
             return f"{packet.source} does not hold it"
         return ""
@@ -461,9 +571,13 @@ class DeviceTask(TaskCore, Task):
 
     def _hold(self, reason: str) -> None:
         self._holding = True
+        self._filtered = None
         self._fence.drop()
+        if self._chain is not None:
+            self._chain.on_hold()
         if isinstance(self.driver, Actuator):
             self.driver.safe_stop()
+            self.kernel.registry.note_moving(self.name, False)
             self.event("safe_hold", device=self.name, reason=reason)
             holder = self.kernel.registry.holder(self.name)
             if holder and agent_of(holder) != self.agent:
@@ -483,6 +597,7 @@ class DeviceService(ServiceCore, Service):
         self._devices = tuple(devices)
         self._shared = SharedThings()
         self._fences = fences
+        self._driving: Driving | None = None  # only once somebody drives: few agents import it
 
     def own_tasks(self) -> Sequence[TaskSpec]:
         return [
@@ -490,7 +605,7 @@ class DeviceService(ServiceCore, Service):
                 name=device.name,
                 cls=DeviceTask,
                 type=device.type,
-                settings=device.settings,
+                settings=device.all_settings,
                 rate_hz=device.rate_hz,
                 restart=device.restart,
                 device=device.cls.type,
@@ -502,9 +617,35 @@ class DeviceService(ServiceCore, Service):
     def on_stop(self) -> None:
         self._shared.close()
 
+    def carry_out_command(self, body: Any, slot: Slot | None, request: Request) -> None:
+        if slot is None or not isinstance(body, (Drive, EndDrive)):
+            if slot is not None and self._driving is not None:
+                self._driving.check(slot, body)
+            super().carry_out_command(body, slot, request)
+            return
+        from pancakes.services.driving import MOTORS, Driving, Wheels
+
+        if self._driving is None:
+            self._driving = Driving(self)
+        spec: DeviceSpec | None = slot.spec.arguments.get("device")
+        wheels = None
+        if spec is not None and issubclass(spec.cls, Actuator) and spec.cls.type == MOTORS:
+            wheels = Wheels(spec.name, spec.hold_after_s, spec.drive_stop_s)
+        self._driving.asked(slot, wheels, body, request)
+
+    def take_message(self, message: Any) -> Any:
+        if self._driving is not None and self._driving.takes(message):
+            return None
+        return super().take_message(message)
+
+    def rested(self, slot: Slot) -> None:
+        super().rested(slot)
+        if self._driving is not None:
+            self._driving.rested(slot)
+
     def settings_class(self, slot: Slot) -> type:
         device: DeviceSpec | None = slot.spec.arguments.get("device")
-        return device.cls.Settings if device is not None else super().settings_class(slot)
+        return device.settings_class if device is not None else super().settings_class(slot)
 
     def describe_in_detail(self, slot: Slot) -> dict[str, Any]:
         marks = self._fences.fences.of(slot.name)

@@ -15,8 +15,8 @@ from typing import Any, Final
 import msgspec
 
 from pancakes.control import SetFence
-from pancakes.durable.courier import COURIER
-from pancakes.durable.ownership import TaskAt, WhereIs, whereabouts
+from pancakes.durable.answers import fact_of
+from pancakes.durable.messages import REGISTRAR, WhoHas
 from pancakes.durable.record import Record, TaskId
 from pancakes.durable.store import MigrationReports, Records
 from pancakes.errors import MigrationError, PancakesError
@@ -31,10 +31,12 @@ from pancakes.services.fence_rule import (
     Mark,
     May,
     PresentOwner,
+    TaskAt,
     Verdict,
     answered,
     judged,
     present_owner,
+    task_at,
 )
 from pancakes.util import codecs
 
@@ -88,7 +90,7 @@ ANSWER_S: Final = 1.0
 """So long other agents have to say where a task is, in host time."""
 AGAIN_S: Final = 1.0
 """An agent whose claim was refused makes no other for so long, in host time: each one costs questions and a line."""
-SET_RIGHT: Final = "pancakes task fence shows which agent has it, and sets that right"
+SET_RIGHT: Final = "`pancakes task recover` shows which agent has it, and sets that right"
 
 Done = Callable[[str, Mapping[str, Any]], None]
 """Takes why something was not done, empty: it was, and what is to be known of it."""
@@ -209,8 +211,13 @@ class ActuatorFence:
             pending.since_s = -math.inf
 
     def told(self, packet: Packet) -> None:
-        """An agent says which one has a task."""
-        by, at = agent_of(packet.source), packet.body
+        """An agent says which one has tasks."""
+        facts = {fact.task_id: fact for fact in packet.body.facts}
+        for task_id in packet.body.task_ids:
+            by = agent_of(packet.source)
+            self._told(by, task_at(str(task_id), by, facts.get(task_id)))
+
+    def _told(self, by: str, at: TaskAt) -> None:
         for peer, pending in list(self._pending.items()):
             if (pending.peer, pending.claim.fence.task_id) == (by, at.task_id):
                 self._decide(peer, answered(pending.claim, pending.asked, by, at, self._linked()))
@@ -293,7 +300,8 @@ class ActuatorFence:
         setting, self._setting = self._setting, None
         assert setting is not None
         task, body = self._task, setting.body
-        own = whereabouts(task.agent, body.task_id, self._record(body.task_id))
+        record = self._record(body.task_id)
+        own = task_at(body.task_id, task.agent, fact_of(record) if record is not None and not record.unborn else None)
         found = present_owner(task.agent, body.task_id, own, setting.answers)
         if isinstance(found, ClaimRefused):
             setting.done(found.reason, {})
@@ -338,6 +346,6 @@ class ActuatorFence:
 
     def _ask(self, peer: str, task_id: str) -> None:
         try:
-            self._task.publish(NETWORK, WhereIs(task_id), to=join(peer, COURIER))
+            self._task.publish(NETWORK, WhoHas((TaskId.parse(task_id),)), to=join(peer, REGISTRAR))
         except PancakesError as error:
             self._task.log("debug", f"{peer} was not asked about {task_id}: {error}")

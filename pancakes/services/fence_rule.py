@@ -12,8 +12,10 @@ from typing import Final
 
 import msgspec
 
-from pancakes.durable.ownership import TaskAt
-from pancakes.durable.record import MOST_STEP, Epoch, Phase, Record, TaskId
+from pancakes.durable.messages import Fact
+from pancakes.durable.record import Record, TaskId
+from pancakes.durable.register import NO_EPOCH, Epoch
+from pancakes.durable.rules import MOST_STEP
 from pancakes.errors import MigrationError
 from pancakes.packet import Fence
 
@@ -23,6 +25,25 @@ MOST_OF_PEER: Final = 250
 """At most this many are of one other agent, which would otherwise leave no room for those of others."""
 MOST_ASKED: Final = 8
 """At most this many agents, one after the other, may each say that they gave the task to the next one."""
+
+
+class TaskAt(msgspec.Struct, frozen=True):
+    """Which agent has a task, as far as another one knows.
+
+    Attributes:
+        task_id: the task, as `birthplace/name`.
+        peer: the agent that has it, which may be the one that says so; empty: that is not known.
+        epoch: the highest epoch that is known of it; of the agent that has it, the one under which it runs.
+    """
+
+    task_id: str
+    peer: str = ""
+    epoch: Epoch = NO_EPOCH
+
+
+def task_at(task_id: str, by: str, fact: Fact | None) -> TaskAt:
+    """Return what the answer of the agent `by` says of where a task is; `fact`: None: nothing."""
+    return TaskAt(task_id, fact.at(by), fact.epoch) if fact is not None else TaskAt(task_id)
 
 
 class Mark(msgspec.Struct, frozen=True, array_like=True):
@@ -96,10 +117,10 @@ def judged(
     last = mark.peer if mark is not None else ""
     if claim.peer == last:
         return May()
-    if record is not None and record.phase in (Phase.OWNER, Phase.FROZEN):
+    if record is not None and record.owned:
         return ClaimRefused(f"{task_id} is here, under epoch {record.epoch.n}")
     # An agent may offer any task: only what this one has given away itself says where it is.
-    given = record.peer if record is not None and record.phase in (Phase.COMMITTED, Phase.RELEASED) else ""
+    given = record.gave if record is not None else ""
     birthplace = _birthplace(task_id)
     if claim.peer in (given, birthplace):
         return May()
@@ -159,11 +180,11 @@ def present_owner(
     claims = {peer: at.epoch for peer, at in {me: own, **answers}.items() if at is not None and at.peer == peer}
     if not claims:
         return ClaimRefused(
-            f"no agent that is connected has {task_id}, so its fence stays as it is: adopt the task first"
+            f"no agent that is connected has {task_id}, so its fence stays as it is: recover the task first"
         )
     name = max(claims, key=lambda peer: claims[peer])
     epoch: Epoch = claims[name]
-    return PresentOwner(name, Mark(epoch.n, epoch.minter, name))
+    return PresentOwner(name, Mark(epoch.n, epoch.minter.agent, name))
 
 
 def _birthplace(task_id: str) -> str:

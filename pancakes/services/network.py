@@ -8,17 +8,19 @@ from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Annotated, Any, ClassVar, Final
 
 from msgspec import Meta, Struct, field
 from msgspec.structs import replace
 
-from pancakes.control import Follow, ReloadKeys, Stop, Unfollow
+from pancakes.control import Allocate, Follow, ReloadKeys, Stop, Unfollow
+from pancakes.durable.answers import NetworkBegan
 from pancakes.durable.bidding import TaskMigrator
-from pancakes.durable.census import CENSUS, NetworkBegan
+from pancakes.durable.bidding_messages import ALLOCATOR, AllocationAnswered, AllocationAsked
 from pancakes.durable.host_state import HostState
-from pancakes.durable.store import MigrationReports
+from pancakes.durable.messages import REGISTRAR
+from pancakes.durable.store import MigrationReports, Records
 from pancakes.errors import ControlRefusedError, PancakesError, PeerLostError, UnknownChannelError
 from pancakes.kernel.actor import ActorCore
 from pancakes.kernel.handlers import Tick, every
@@ -137,15 +139,21 @@ class NetworkClient(Task):
 
     It takes it in the publisher's own thread, so that sending costs no hop; it is the task that decides whether there
     is a way out at all.
+
+    Args:
+        mesh: the mesh.
+        began: called once there is a way out.
     """
 
-    def __init__(self, *args: Any, mesh: Mesh, **others: Any) -> None:
+    def __init__(self, *args: Any, mesh: Mesh, began: Callable[[], None] = lambda: None, **others: Any) -> None:
         super().__init__(*args, **others)
         self._mesh = mesh
+        self._on_began = began
 
     def on_start(self) -> None:
         self._actor.kernel.stream.gateway = self.send
-        self._actor.kernel.tell(CENSUS, NetworkBegan())
+        self._on_began()
+        self._actor.kernel.tell(REGISTRAR, NetworkBegan())
 
     def on_stop(self) -> None:
         self._actor.kernel.stream.gateway = None
@@ -183,6 +191,18 @@ class Discovery(Task):
         self._mesh.announce()
 
 
+class AllocationSettings(Struct):
+    """How an agent takes part in the team's allocation.
+
+    Attributes:
+        at_most: how many of the tasks that are allocated it takes.
+        crowding: what each of these takes off its bid for the next one, in the unit of the tasks' costs.
+    """
+
+    at_most: Annotated[int, Meta(ge=0, le=256)] = 3
+    crowding: Annotated[float, Meta(ge=0, le=1e9)] = 1.0
+
+
 class NetworkService(ServiceCore, Service):
     """Enables communication with other agents (paper §3.3)."""
 
@@ -201,7 +221,8 @@ class NetworkService(ServiceCore, Service):
                 saves power.
             insecure: whether it speaks over TCP although it has no keys, so that nothing is encrypted and no peer is
                 checked. Where it has keys, it uses them.
-            keys: the folder with the agent's keys; empty: where `pancakes fleet join` puts them.
+            keys: the folder with the agent's keys; empty: where `pancakes keys join` puts them.
+            allocation: how it takes part in the team's allocation of tasks; None: it does not.
             transports: settings of transports, by the scheme of their addresses: `{ tcp = { dial_s = 2.0 } }`.
         """
 
@@ -210,23 +231,50 @@ class NetworkService(ServiceCore, Service):
         busy_poll_s: Annotated[float, Meta(ge=0, le=0.01)] = BUSY_POLL_S
         insecure: bool = False
         keys: FilePath = ""
+        allocation: AllocationSettings | None = None
         transports: dict[str, dict[str, bool | int | float | str | list[str]]] = field(default_factory=dict)
 
-    def __init__(self, *args: Any, mesh: Mesh, state: HostState, ledgers: MigrationReports, **others: Any) -> None:
+    def __init__(
+        self,
+        *args: Any,
+        mesh: Mesh,
+        state: HostState,
+        records: Records,
+        ledgers: MigrationReports,
+        began: Callable[[], None] = lambda: None,
+        mdns: bool = False,
+        **others: Any,
+    ) -> None:
         super().__init__(*args, **others)
         self._mesh = mesh
+        self._on_began = began
+        self._mdns = mdns
         self._state = state
+        self._records = records
         self._ledgers = ledgers
         self._followers: dict[tuple[str, str], Follower] = {}
         self._for_s: float | None = None  # how long it is to sleep, in mission time
 
     def own_tasks(self) -> Sequence[TaskSpec]:
         mesh = {"mesh": self._mesh}
-        return [
-            TaskSpec(CLIENT, NetworkClient, arguments=mesh),
+        knows = {"state": self._state, "records": self._records, "ledgers": self._ledgers}
+        specs = [
+            TaskSpec(CLIENT, NetworkClient, arguments={**mesh, "began": self._on_began}),
             TaskSpec("Discovery", Discovery, rate_hz=self.settings.discovery_hz, arguments=mesh),
-            TaskSpec("TaskMigrator", TaskMigrator, arguments={**mesh, "state": self._state, "ledgers": self._ledgers}),
+            TaskSpec("TaskMigrator", TaskMigrator, arguments={**mesh, **knows}),
         ]
+        if self._mdns and self.kernel.virtual is None:  # in virtual time the network is in memory
+            from pancakes.services.mdns import Mdns  # only now: most agents announce nothing
+
+            specs.append(TaskSpec("Mdns", Mdns, arguments=mesh))
+        part = self.settings.allocation
+        if part is not None:
+            from pancakes.durable.allocator import Allocator  # late: most agents take no part
+
+            takes = {"at_most": part.at_most, "crowding": part.crowding}
+            shared = {**mesh, "state": self._state, "records": self._records, **takes}
+            specs.append(TaskSpec(ALLOCATOR, Allocator, arguments=shared))
+        return specs
 
     def on_start(self) -> None:
         # The mesh outlives the service, so that a port that was taken stays taken while the network sleeps.
@@ -271,8 +319,12 @@ class NetworkService(ServiceCore, Service):
         )
 
     def take_message(self, message: Any) -> Any:
+        if isinstance(message, AllocationAnswered):
+            self.reply(message.request, message.refusal, message.result)
+            return None
         if not isinstance(message, PeerDown):
             return super().take_message(message)
+        self.kernel.tell(join(self.name, ALLOCATOR), message)
         for channel, by in list(self._followers):
             if agent_of(by) == message.peer:
                 self._unfollow(channel, by)
@@ -281,6 +333,13 @@ class NetworkService(ServiceCore, Service):
     def carry_out_command(self, body: Any, slot: Slot | None, request: Request) -> None:
         if isinstance(body, Follow):
             self._follow(body, request)
+        elif isinstance(body, Allocate):
+            if not self.kernel.tell(join(self.name, ALLOCATOR), AllocationAsked(self, request, body.dry_run)):
+                raise ControlRefusedError(
+                    f"{self.agent} takes no part in the allocation: write"
+                    " `settings = { allocation = { at_most = 3 } }` under [service.network] of its configuration",
+                    "unsupported",
+                )
         elif isinstance(body, Unfollow):
             self._unfollow(body.channel, request.by)
             self.reply(request)

@@ -11,7 +11,7 @@ import math
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from msgspec.structs import replace
 
@@ -20,19 +20,23 @@ from pancakes.control import (
     LONGEST_S,
     SHORTEST_S,
     Adopt,
+    Allocate,
     Begin,
     Channels,
     Checkpoints,
     Command,
     Create,
     Describe,
+    EndHalt,
     Follow,
     Forget,
     Guarding,
+    Halt,
     History,
     Measure,
     Migrations,
     Refusal,
+    Reload,
     ReloadKeys,
     Restart,
     Revive,
@@ -43,7 +47,8 @@ from pancakes.control import (
     Traces,
     Unfollow,
 )
-from pancakes.durable.host_state import processor_time_s
+from pancakes.durable.host_state import ImportedAgain, processor_time_s
+from pancakes.durable.installed import Installed
 from pancakes.errors import ControlRefusedError, PancakesError, describe, traceback_of
 from pancakes.kernel.actor import ActorCore
 from pancakes.kernel.dispatchers import defer
@@ -52,6 +57,7 @@ from pancakes.kernel.registry import TaskEntry
 from pancakes.kernel.timer import NOTHING, MeterReading, TurnMeter
 from pancakes.packet import CORE_CHANNELS, SYSCTRL, Packet, agent_of, join
 from pancakes.security.access import right_of
+from pancakes.services.halt import HaltKeeping, Halts, PeerMet
 from pancakes.services.service_supervisor import LOG_SERVICE, MissionStart, ServiceKeeper, ServicePlace, ServiceSpec
 from pancakes.supervision.lifecycle import Request, StartAsked, State, StopAsked
 from pancakes.supervision.messages import (
@@ -62,11 +68,15 @@ from pancakes.supervision.messages import (
     NoRoom,
     ServiceEnded,
     ServiceReady,
+    TasksReloaded,
 )
 from pancakes.supervision.slots import OF_TASKS_ONLY, WAITING, describe_task
 from pancakes.supervision.supervisor import ANSWERED_S, Answers
 from pancakes.util.cpu import host_id, processor_count, processor_times, yardstick_s
 from pancakes.util.text import fault_of_name, suggestion
+
+if TYPE_CHECKING:
+    from pancakes.services.reloading import TypeReloading
 
 
 @dataclass(frozen=True)
@@ -203,6 +213,8 @@ class Root(ActorCore):
         configuration: what its configuration comes to.
         migrations: what `Migrations` is answered with.
         services_in_doubt: the services that have something to decide about a task of this name.
+        halts: what the agent knows of halts.
+        catalogue: where task types are found.
         ready: called in this actor once every service has started all that it should.
         mission_start: has the mission begin before the services start; None: it has.
         shutdown: ends the agent, after this actor's turn; returns why it cannot. With True it only says that.
@@ -218,6 +230,8 @@ class Root(ActorCore):
         configuration: Callable[[], dict[str, Any]] = dict,
         migrations: Callable[[], list[dict[str, Any]]] = list,
         services_in_doubt: Callable[[str], Collection[str]] = lambda name: (),
+        halts: Halts,
+        catalogue: Installed,
         ready: Callable[[], None] = lambda: None,
         mission_start: MissionStart | None = None,
         shutdown: Callable[[bool], str] = lambda dry_run: "it was not started in a way that it could be ended by",
@@ -233,6 +247,9 @@ class Root(ActorCore):
         self._shutdown = shutdown
         self._answers = Answers(self)
         self._measuring = Measuring(self, lambda: self._identity().get("battery_level"))
+        self._halting = HaltKeeping(self, halts, self.reply)
+        self._catalogue = catalogue
+        self._reloading_made: TypeReloading | None = None
         self._number = 0
         self.ready = False
 
@@ -244,6 +261,7 @@ class Root(ActorCore):
     def on_start(self) -> None:
         for body in CONTROLS:
             self.subscribe(SYSCTRL, body, self.on_control, queue=WAITING)
+        self._halting.begin()
         if self._mission_start is None:
             self._services.start_next()
         else:
@@ -252,6 +270,7 @@ class Root(ActorCore):
     def _become_ready(self) -> None:
         self.ready = True
         self.event("ready")
+        self._halting.ready()
         if self._mission_start is not None:
             self._mission_start.tell(self)
         self._on_ready()
@@ -262,9 +281,17 @@ class Root(ActorCore):
                 self._services.service_ready(message)
             case ServiceEnded():
                 self._services.service_ended(message)
+                if self._reloading_made is not None:
+                    self._reloading_made.service_ended(message.service.name)
+            case TasksReloaded():
+                self._reloading().heard(message)
+            case ImportedAgain():
+                self._reloading().imported(message)
             case NoRoom():
                 # It has its place in the order like any other.
                 self.reply(self._numbered(message.packet), message.refusal)
+            case PeerMet():
+                self._halting.met(message.peer)
             case GuardianAnswers():
                 self.reply(message.request, message.refusal, message.result)
             case Close():
@@ -331,7 +358,7 @@ class Root(ActorCore):
             self.kernel.begin(body.in_s)
             self.reply(request)
             return
-        if isinstance(body, (Follow, Unfollow, ReloadKeys)):
+        if isinstance(body, (Allocate, Follow, Unfollow, ReloadKeys)):
             self._hand(NETWORK, "", body, request)
             return
         if isinstance(body, (History, Traces)):
@@ -343,8 +370,14 @@ class Root(ActorCore):
         if isinstance(body, Measure):
             self._measuring.begin(body.for_s, lambda result: self.reply(request, result=result))
             return
+        if isinstance(body, Reload):
+            self._reloading().asked(body, request)
+            return
         if isinstance(body, Shutdown):
             self._end_agent(body, request)
+            return
+        if isinstance(body, (Halt, EndHalt)):
+            self._halting.asked(body, request)
             return
         if isinstance(body, (Guarding, Checkpoints, Take)):
             self._hand_to_guardian(body, request)
@@ -365,9 +398,16 @@ class Root(ActorCore):
         else:
             self._control_service(self.places[service], body, request)
 
+    def _reloading(self) -> TypeReloading:
+        if self._reloading_made is None:
+            from pancakes.services.reloading import TypeReloading  # few agents are ever asked
+
+            self._reloading_made = TypeReloading(self, self, self.places, self._catalogue)
+        return self._reloading_made
+
     def _hand_to_guardian(self, body: Guarding | Checkpoints | Take, request: Request) -> None:
         if not self.kernel.tell(GUARDIAN, AskedOfGuardian(body, request, self)):
-            raise ControlRefusedError(f"the guardian of {self.agent} is restarting", "busy")
+            raise ControlRefusedError(f"the registrar of {self.agent} is restarting", "busy")
 
     def _must_be_allowed(self, body: Any, request: Request, service: str, task: str) -> None:
         """Look whether a peer may ask for this.
@@ -502,6 +542,10 @@ class Root(ActorCore):
         defer(lambda: self._services.feed(place, event))
 
     def _refuse_stop(self, place: ServicePlace, body: Stop, request: Request) -> None:
+        if body.then:
+            raise ControlRefusedError(
+                f"{place.address} is a service: only a task can be followed by one", "unsupported"
+            )
         due = place.life.restarts.due_s is not None  # its next try, which a stop calls off
         if place.life.state not in (State.RUNNING, State.FAILED) and not due:
             raise ControlRefusedError(f"{place.address} is {place.life.word}, not running")

@@ -14,7 +14,7 @@ from typing import Final
 from pancakes.settings import NotNegative, Positive, Share
 from pancakes.sim.world_state import Spent
 
-DEFAULT_SAMPLE_J: Final = {"ir": 0.01, "sonar": 0.03, "pose": 0.0, "battery": 0.0, "motion": 0.01}
+DEFAULT_SAMPLE_J: Final = {"ir": 0.01, "sonar": 0.03, "pose": 0.0, "battery": 0.0, "motion": 0.01, "laser_scan": 0.25}
 
 
 @dataclass
@@ -31,6 +31,7 @@ class BatterySettings:
         listen_w: the power of the radio while the agent's Network Service is awake. Each request for the battery
             reports whether it is.
         noise_v: standard deviation of the measured voltage.
+        charges: whether it takes energy from a dock; false: a defective one, which tells that it is being charged.
     """
 
     capacity_j: Positive = 36_000.0
@@ -41,6 +42,7 @@ class BatterySettings:
     packet_j: NotNegative = 0.01
     listen_w: NotNegative = 0.0
     noise_v: NotNegative = 0.001
+    charges: bool = True
 
 
 class BatteryModel:
@@ -53,6 +55,7 @@ class BatteryModel:
 
     Attributes:
         listening: whether the radio listens.
+        charging: whether a dock charges it now.
     """
 
     def __init__(self, settings: BatterySettings, full_v: float, empty_v: float) -> None:
@@ -63,6 +66,7 @@ class BatteryModel:
         self._packets = 0
         self._idle_j = self._motion_j = self._sensing_j = self._listening_j = self._sending_j = 0.0
         self.listening = True
+        self.charging = False
 
     @property
     def level(self) -> float:
@@ -89,6 +93,11 @@ class BatteryModel:
         self._motion_j += self._take(self._settings.motion_j_per_m * rolled_m)
         if self.listening:
             self._listening_j += self._take(self._settings.listen_w * elapsed_s)
+
+    def charged(self, energy_j: float) -> None:
+        """Take energy of a dock, as far as there is room for it; a defective battery takes none."""
+        if self._settings.charges:
+            self._charge_j = min(self._charge_j + energy_j, self._settings.capacity_j)
 
     def sampled(self, device_type: str) -> None:
         """Count a reading of a sensor of this type."""

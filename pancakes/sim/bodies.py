@@ -9,14 +9,25 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Literal
 
+from pancakes.devices import DockState, Motion
 from pancakes.errors import PancakesError
 from pancakes.settings import NotNegative, Positive
 from pancakes.sim.battery import BatteryModel, BatterySettings
 from pancakes.sim.pedestrian import MoverSettings, Obstacle, Wayfinder
-from pancakes.sim.robot_models import IrRing, RobotModel, SonarRing, Wheels, robot_model
+from pancakes.sim.robot_models import (
+    STILL,
+    IrRing,
+    LaserScanner,
+    RobotModel,
+    SonarRing,
+    WheelEncoders,
+    Wheels,
+    robot_model,
+)
 
 
 class Disc:
@@ -153,7 +164,7 @@ class RobotSettings:
         x_m: where it starts.
         y_m: where it starts.
         theta_rad: how it looks at the start.
-        model: what kind of robot it is, `khepera3` or `pioneer3dx`.
+        model: what kind of robot it is, a robot model that is installed: `khepera3`, `pioneer3dx`, ...
         spread_m: the seed moves its start by at most this along each axis.
         spread_rad: the seed turns it at the start by at most this, either way.
         battery: its battery.
@@ -194,6 +205,41 @@ class MotionSettings:
     range_noise_m: NotNegative = 0.02
 
 
+def sensed_motion(
+    settings: MotionSettings,
+    place: tuple[float, float, float],
+    bodies: Iterable[tuple[float, float, float]],
+    normal: Callable[[], float],
+) -> Motion:
+    """Return what a motion sensor says: whether one of some bodies moves in its field of view.
+
+    Args:
+        settings: the sensor.
+        place: where it is: x and y in m, and its heading in rad.
+        bodies: the bodies that it takes notice of: x and y in m, and the speed in m/s.
+        normal: draws the noise, of mean 0 and deviation 1.
+
+    Returns:
+        Also where the nearest one is, if the sensor can tell.
+    """
+    x_m, y_m, theta_rad = place
+    nearest: tuple[float, float] | None = None
+    for body_x_m, body_y_m, speed_mps in bodies:
+        if speed_mps < settings.least_speed_mps:
+            continue
+        dx_m, dy_m = body_x_m - x_m, body_y_m - y_m
+        range_m = math.hypot(dx_m, dy_m)
+        bearing_rad = math.remainder(math.atan2(dy_m, dx_m) - theta_rad, math.tau)
+        seen = range_m <= settings.range_m and abs(bearing_rad) <= 0.5 * settings.field_of_view_rad
+        if seen and (nearest is None or range_m < nearest[0]):
+            nearest = (range_m, bearing_rad)
+    if nearest is None or not settings.locates:
+        return Motion(nearest is not None)
+    range_m = nearest[0] + settings.range_noise_m * normal()
+    bearing_rad = nearest[1] + settings.bearing_noise_rad * normal()
+    return Motion(True, math.remainder(bearing_rad, math.tau), max(range_m, 0.0))
+
+
 @dataclass
 class SensorSettings:
     """A sensor node: it stands, is solid, and senses motion.
@@ -222,31 +268,31 @@ class NoiseSettings:
         ir_share: standard deviation of an infrared sensor's raw value, as a share of it.
         ir_raw: standard deviation of an infrared sensor's raw value, in its own units, in addition.
         sonar_m: standard deviation of a sonar's range.
+        laser_m: standard deviation of the range along a ray of a laser scanner.
     """
 
     wheel: NotNegative = 0.01
     ir_share: NotNegative = 0.01
     ir_raw: NotNegative = 1.0
     sonar_m: NotNegative = 0.005
+    laser_m: NotNegative = 0.01
 
 
 @dataclass
-class ContentSettings:
-    """All that is in a simulated world, by name.
+class WorldSettings:
+    """The bodies of a world, by name, and its floor; the page, verdicts and figures read them of any world.
 
     Attributes:
         arena: the floor.
         robots: the robots.
         sensors: the sensor nodes.
-        movers: the persons that walk through it.
-        noise: the noise of the hardware.
+        movers: what moves and belongs to no agent, such as persons that walk through it.
     """
 
     arena: ArenaSettings = field(default_factory=ArenaSettings)
     robots: dict[str, RobotSettings] = field(default_factory=dict)
     sensors: dict[str, SensorSettings] = field(default_factory=dict)
     movers: dict[str, MoverSettings] = field(default_factory=dict)
-    noise: NoiseSettings = field(default_factory=NoiseSettings)
 
     def __post_init__(self) -> None:
         names = [*self.robots, *self.sensors, *self.movers]
@@ -261,6 +307,45 @@ class ContentSettings:
         for name, body in bodies.items():
             if abs(body.x_m) > half_x_m or abs(body.y_m) > half_y_m:
                 raise ValueError(f"{name} stands outside the arena, at ({body.x_m}, {body.y_m}) m")
+
+
+@dataclass
+class DockSettings:
+    """A dock: contacts in the floor, which charge a robot that holds the dock and stands on them. It is not solid.
+
+    Attributes:
+        x_m: where it is.
+        y_m: where it is.
+        reach_m: a robot whose centre is at most this far away is charged.
+        power_w: the power that it gives. At 0 it lies: it says that it charges, and gives nothing.
+    """
+
+    x_m: float
+    y_m: float
+    reach_m: Positive = 0.1
+    power_w: NotNegative = 20.0
+
+
+@dataclass
+class ContentSettings(WorldSettings):
+    """All that is in the simulated world of the core, by name.
+
+    Attributes:
+        noise: the noise of the hardware.
+        docks: the docks; a simulated dock finds its own by the name of its agent, as a robot finds its body.
+    """
+
+    noise: NoiseSettings = field(default_factory=NoiseSettings)
+    docks: dict[str, DockSettings] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        WorldSettings.__post_init__(self)
+        half_x_m, half_y_m = 0.5 * self.arena.width_m, 0.5 * self.arena.height_m
+        for name, dock in self.docks.items():
+            if name in self.robots or name in self.sensors or name in self.movers:
+                raise ValueError(f"there are several bodies of the name {name!r}")
+            if abs(dock.x_m) > half_x_m or abs(dock.y_m) > half_y_m:
+                raise ValueError(f"{name} lies outside the arena, at ({dock.x_m}, {dock.y_m}) m")
 
 
 class Robot:
@@ -281,6 +366,7 @@ class Robot:
         disc: its body.
         battery: its battery.
         driven_by: the task whose command the wheels follow now; empty in safe hold.
+        wheels: how fast both wheels run now.
     """
 
     def __init__(
@@ -294,6 +380,10 @@ class Robot:
         self._good_until_s = math.inf
         self._rolling_mps = 0.0
         self.driven_by = ""
+        self.wheels = STILL
+        self._turned_m = (0.0, 0.0)
+        self._turned_steps = 0
+        self._step_s = 0.0
         self._rolled_m = 0.0
 
     def infrared_ring(self) -> IrRing:
@@ -316,6 +406,26 @@ class Robot:
             raise PancakesError(f"{self.disc.name} is a {self.model.name}, which has no sonars")
         return self.model.sonar
 
+    def laser_scanner(self) -> LaserScanner:
+        """Return its laser scanner.
+
+        Raises:
+            PancakesError: robots of its kind have none.
+        """
+        if self.model.laser is None:
+            raise PancakesError(f"{self.disc.name} is a {self.model.name}, which has no laser scanner")
+        return self.model.laser
+
+    def wheel_encoders(self) -> WheelEncoders:
+        """Return the encoders of its wheels.
+
+        Raises:
+            PancakesError: robots of its kind have none.
+        """
+        if self.model.encoders is None:
+            raise PancakesError(f"{self.disc.name} is a {self.model.name}, which has no wheel encoders")
+        return self.model.encoders
+
     def drive(self, wheels: Wheels, until_s: float, source: str) -> None:
         """Follow a command.
 
@@ -332,6 +442,7 @@ class Robot:
         done = self.model.drive.carried_out(Wheels(left_mps, right_mps))
         twist = self.model.drive.twist(done)
         self.disc.roll(twist.v_mps, twist.omega_radps)
+        self._turn_on(done)
         self._rolling_mps = abs(done.left_mps) + abs(done.right_mps)
         self._good_until_s = until_s
         self.driven_by = source.rpartition("/")[2]
@@ -339,6 +450,7 @@ class Robot:
     def hold(self) -> None:
         """Stop the wheels."""
         self.disc.roll(0.0, 0.0)
+        self._turn_on(STILL)
         self._rolling_mps = 0.0
         self._good_until_s = math.inf
         self.driven_by = ""
@@ -354,6 +466,22 @@ class Robot:
         if self._rolling_mps:
             for _ in range(steps):
                 self._rolled_m += self._rolling_mps * dt_s
+            self._turned_steps += steps
+            self._step_s = dt_s
+
+    def turned_m(self) -> tuple[float, float]:
+        """Return how far the left and the right wheel have rolled; backwards is negative.
+
+        It is the same however the steps were grouped: they are counted, and only a command adds up the distance.
+        """
+        (left_m, right_m), time_s = self._turned_m, self._turned_steps * self._step_s
+        return left_m + self.wheels.left_mps * time_s, right_m + self.wheels.right_mps * time_s
+
+    def _turn_on(self, wheels: Wheels) -> None:
+        """Go on with other speeds of the wheels."""
+        if self._turned_steps:
+            self._turned_m, self._turned_steps = self.turned_m(), 0
+        self.wheels = wheels
 
     def settle(self, elapsed_s: float) -> None:
         """Drain the battery for the last `elapsed_s`."""
@@ -361,6 +489,50 @@ class Robot:
         self._rolled_m = 0.0
         if self.battery.empty:
             self.hold()
+
+
+class ChargingDock:
+    """A dock of the simulated world. It charges the robot that holds it, while that stands at it.
+
+    Args:
+        settings: where it is, and what it gives.
+
+    Attributes:
+        settings: the same.
+        robot: the name of the robot that holds it; empty: it is free.
+    """
+
+    def __init__(self, settings: DockSettings) -> None:
+        self.settings = settings
+        self.robot = ""
+        self._good_until_s = 0.0
+        self._charging = False
+
+    def hold(self, robot: str, until_s: float) -> None:
+        """Hold it for a robot until this mission time, or until the next command."""
+        self.robot, self._good_until_s = robot, until_s
+
+    def release(self) -> None:
+        """Become free."""
+        self.robot, self._charging = "", False
+
+    def settle(self, now_s: float, elapsed_s: float, robots: Mapping[str, Robot]) -> None:
+        """Charge for the last `elapsed_s`, up to `now_s`; a robot whose right is over is released."""
+        if self.robot and self._good_until_s < now_s - elapsed_s:
+            self.release()
+        robot = robots.get(self.robot)
+        place = (self.settings.x_m, self.settings.y_m)
+        self._charging = robot is not None and math.dist(robot.disc.position, place) <= self.settings.reach_m
+        if robot is not None and self._charging:
+            robot.battery.charged(self.settings.power_w * elapsed_s)
+            robot.battery.charging = self.settings.power_w > 0.0
+
+    def state(self) -> DockState:
+        """Return what it says of itself."""
+        state: Literal["free", "taken", "charging"] = "free"
+        if self.robot:
+            state = "charging" if self._charging else "taken"
+        return DockState(state, self.settings.x_m, self.settings.y_m, self.robot)
 
 
 @dataclass

@@ -7,6 +7,7 @@ end, one connection for all simulated devices of an agent; `BusServer` is the wo
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache, partial
@@ -15,6 +16,7 @@ from typing import Any, Final, Generic, TypeAlias, TypeVar
 
 import msgspec
 
+from pancakes.devices.validation import fault_of_command
 from pancakes.errors import RemoteProtocolError
 from pancakes.mesh.codec import FrameReader, frame
 from pancakes.mesh.transport import Connection, ConnectionHandler, Scheduled, Transport
@@ -59,8 +61,57 @@ class Drive(msgspec.Struct, tag_field="is", tag="drive", array_like=True, frozen
     source: str
 
 
+class Command(msgspec.Struct, tag_field="is", tag="command", array_like=True, frozen=True):
+    """A command to an actuator other than wheels.
+
+    Attributes:
+        body: the body's name.
+        device: the device's name.
+        type: the device's type, which is the packet type of the command.
+        value: the command, a body of that packet type.
+        ttl_s: its time to live, in mission seconds; then the actuator goes to its safe hold.
+        source: address of the task that commands it.
+    """
+
+    body: str
+    device: str
+    type: str
+    value: Any
+    ttl_s: float
+    source: str
+
+
+class RawCommand(msgspec.Struct, tag_field="is", tag="command", array_like=True, frozen=True):
+    """A `Command` as it arrives: its value is still encoded, so that it is decoded directly to its class."""
+
+    body: str
+    device: str
+    type: str
+    value: msgspec.Raw
+    ttl_s: float
+    source: str
+
+    def command(self) -> Any:
+        """Return the command, a body of its packet type.
+
+        Raises:
+            RemoteProtocolError: its type is unknown here, or the value does not fit it.
+        """
+        cls = body_class(self.type)
+        if cls is None:
+            raise RemoteProtocolError(f"the packet type {self.type!r} is unknown here: install what registers it")
+        try:
+            command = _decoder(cls)(self.value)
+        except MALFORMED as error:
+            raise RemoteProtocolError(f"a command of the type {self.type!r} has a bad body: {error}") from None
+        fault = fault_of_command(command) if math.isfinite(self.ttl_s) else f"ttl_s is {self.ttl_s:g}"
+        if fault:
+            raise RemoteProtocolError(f"a command of the type {self.type!r} cannot be carried out: {fault}")
+        return command
+
+
 class Halt(msgspec.Struct, tag_field="is", tag="halt", array_like=True, frozen=True):
-    """Stop the wheels at once."""
+    """Bring an actuator to its safe hold at once: wheels stop."""
 
     body: str
     device: str
@@ -125,11 +176,12 @@ class Refused(msgspec.Struct, tag_field="is", tag="refused", array_like=True, fr
     reason: str
 
 
-Request: TypeAlias = Attach | Drive | Halt | Sample
+Request: TypeAlias = Attach | Command | Drive | Halt | Sample
+Requested: TypeAlias = Attach | RawCommand | Drive | Halt | Sample
 Reply: TypeAlias = Attached | Reading | Refused
 Replied: TypeAlias = Attached | RawReading | Refused
 
-_REQUESTS: Final[Callable[[Any], list[Request]]] = codecs.decoder(list[Request])
+_REQUESTS: Final[Callable[[Any], list[Requested]]] = codecs.decoder(list[Requested])
 _REPLIES: Final[Callable[[Any], list[Replied]]] = codecs.decoder(list[Replied])
 _Message = TypeVar("_Message")
 
@@ -169,7 +221,7 @@ class BusReader(Generic[_Message]):
             raise RemoteProtocolError(f"that is not a {self._called}: {why_malformed(error)}") from None
 
 
-RequestReader: Final = partial(BusReader[Request], _REQUESTS, "request to a simulated world")
+RequestReader: Final = partial(BusReader[Requested], _REQUESTS, "request to a simulated world")
 """Make requests of the bytes that come from one client."""
 ReplyReader: Final = partial(BusReader[Replied], _REPLIES, "reply of a simulated world")
 """Make replies of the bytes that come from a world."""
@@ -327,7 +379,7 @@ class _DialedConnection(ConnectionHandler):
         self._client.lost(reason)
 
 
-Serve = Callable[[Request], Reply | None]
+Serve = Callable[[Requested], Reply | None]
 Call = Callable[[Callable[[], None]], None]
 Log = Callable[[str, str], None]
 
@@ -409,7 +461,7 @@ class _BusConnection(ConnectionHandler):
         if connection is not None:
             connection.close(reason)
 
-    def _serve(self, connection: Connection, requests: list[Request]) -> None:
+    def _serve(self, connection: Connection, requests: list[Requested]) -> None:
         """Run in the world's actor."""
         replies = []
         for request in requests:

@@ -1,6 +1,7 @@
-"""Robot models: the wheels, infrared rings and sonar rings of the Khepera III and the Pioneer 3-DX, as data. Pure.
+"""Robot models: the wheels, infrared rings and sonar rings of the Khepera III and the Pioneer 3-DX, as data.
 
-`robot_model(name)` returns what a configuration calls `khepera3` or `pioneer3dx`. `DriveKinematics` turns wheel speeds
+`robot_model(name)` returns what a configuration calls `khepera3`, `pioneer3dx`, or by the name of a model that another
+distribution brings (entry point group `pancakes.robot_models`). `DriveKinematics` turns wheel speeds
 into the motion of the body and back, within the limits of the motors. `IrCurve` turns raw infrared values into metres.
 The Khepera III is the robot of the paper's experiment (paper §4).
 """
@@ -14,8 +15,12 @@ from typing import Final
 import msgspec
 
 from pancakes.devices import Twist
-from pancakes.errors import PancakesError
+from pancakes.errors import PancakesError, PluginError
+from pancakes.util.plugins import UnknownPluginError, installed, to_install
 from pancakes.util.text import did_you_mean
+
+GROUP: Final = "pancakes.robot_models"
+"""The entry point group of robot models."""
 
 
 class Wheels(msgspec.Struct, frozen=True, gc=False):
@@ -153,6 +158,48 @@ class SonarRing:
 
 
 @dataclass(frozen=True, slots=True)
+class LaserScanner:
+    """A laser scanner on a body, which looks ahead.
+
+    Attributes:
+        ahead_m: where it is, ahead of the body's centre.
+        start_rad: direction of its first ray, from straight ahead, counter-clockwise.
+        step_rad: from each ray to the next.
+        rays: the number of rays.
+        max_range_m: its full range.
+    """
+
+    ahead_m: float
+    start_rad: float
+    step_rad: float
+    rays: int
+    max_range_m: float
+
+    @property
+    def sensors(self) -> tuple[RangeSensor, ...]:
+        """Its rays, each as a sensor."""
+        return tuple(RangeSensor(self.ahead_m, 0.0, self.start_rad + ray * self.step_rad) for ray in range(self.rays))
+
+
+@dataclass(frozen=True, slots=True)
+class WheelEncoders:
+    """The encoders of two wheels.
+
+    Attributes:
+        wheel_radius_m: the radius of a wheel.
+        ticks_per_turn: how many ticks a turn of a wheel makes.
+    """
+
+    wheel_radius_m: float
+    ticks_per_turn: int
+
+    def angle_rad(self, rolled_m: float) -> float:
+        """Return how far a wheel has turned, in whole ticks, if it has rolled over a distance."""
+        per_tick_rad = math.tau / self.ticks_per_turn
+        return round(rolled_m / self.wheel_radius_m / per_tick_rad) * per_tick_rad
+
+
+@dataclass(frozen=True, slots=True)
 class RobotModel:
     """A kind of robot.
 
@@ -165,6 +212,8 @@ class RobotModel:
         empty_v: voltage at which its battery counts as empty.
         ir: its infrared ring, or None.
         sonar: its sonar ring, or None.
+        laser: its laser scanner, or None.
+        encoders: the encoders of its wheels, or None.
     """
 
     name: str
@@ -175,6 +224,8 @@ class RobotModel:
     empty_v: float
     ir: IrRing | None = None
     sonar: SonarRing | None = None
+    laser: LaserScanner | None = None
+    encoders: WheelEncoders | None = None
 
     @property
     def radius_m(self) -> float:
@@ -225,8 +276,13 @@ KHEPERA_III: Final = RobotModel(
         curve=IrCurve(peak_raw=3960.0, decay_per_m=30.0, nearest_m=0.02, farthest_m=0.20),
     ),
     sonar=SonarRing(sensors=_sonar_sensors(), cone_rad=math.radians(30.0), max_range_m=4.0),
+    laser=LaserScanner(
+        ahead_m=0.0, start_rad=math.radians(-120.0), step_rad=math.radians(360.0 / 1024 * 3), rays=228, max_range_m=4.0
+    ),
+    encoders=WheelEncoders(wheel_radius_m=0.0205, ticks_per_turn=2764),
 )
-"""A Khepera III with firmware 2: nine infrared sensors, five sonars, wheels up to 0.333 m/s."""
+"""A Khepera III with firmware 2: nine infrared sensors, five sonars, wheels up to 0.333 m/s. Its laser scanner is the
+Hokuyo URG-04LX that K-Team sells for it, with each third step."""
 
 
 _PIONEER_DIAMETER_M = 0.455
@@ -263,25 +319,37 @@ PIONEER_3DX: Final = RobotModel(
         cone_rad=math.radians(15.0),
         max_range_m=5.0,
     ),
+    laser=LaserScanner(
+        ahead_m=0.02, start_rad=math.radians(-90.0), step_rad=math.radians(1.0), rays=181, max_range_m=8.0
+    ),
+    encoders=WheelEncoders(wheel_radius_m=0.0975, ticks_per_turn=76_600),
 )
-"""A Pioneer 3-DX with both sonar arrays; its controller takes whole millimetres a second."""
-
-
-_MODELS = {model.name: model for model in (KHEPERA_III, PIONEER_3DX)}
+"""A Pioneer 3-DX with both sonar arrays; its controller takes whole millimetres a second. Its laser scanner is a SICK
+LMS200 at 1 degree and millimetres."""
 
 
 class UnknownRobotModelError(PancakesError, ValueError):
-    """There is no kind of robot of this name; the message lists those there are."""
+    """There is no robot model of this name that can be used; the message says why, and lists those there are."""
 
 
 def robot_model(name: str) -> RobotModel:
-    """Return the kind of robot that a configuration calls `name`.
+    """Return the robot model that a configuration calls `name`: one of the core, or an installed plug-in.
 
     Raises:
-        UnknownRobotModelError: there is none of that name.
+        UnknownRobotModelError: there is none of that name, or its plug-in cannot be loaded.
     """
-    model = _MODELS.get(name)
-    if model is None:
-        hint = did_you_mean(name, _MODELS)
-        raise UnknownRobotModelError(f"there is no robot model {name!r} (there are {', '.join(sorted(_MODELS))}){hint}")
-    return model
+    plugins = installed()
+    try:
+        found = plugins.get(GROUP, name)
+    except UnknownPluginError:
+        known = plugins.names(GROUP)
+        command = to_install(GROUP, name, known)
+        hint = f": {command}" if command else did_you_mean(name, known)
+        raise UnknownRobotModelError(f"there is no robot model {name!r} (there are {', '.join(known)}){hint}") from None
+    except PluginError as error:
+        raise UnknownRobotModelError(str(error)) from None
+    if not isinstance(found, RobotModel):
+        raise UnknownRobotModelError(f"the robot model {name!r} is a {type(found).__name__}, not a RobotModel")
+    if found.name != name:  # bodies and drivers compare names
+        raise UnknownRobotModelError(f"the robot model {name!r} calls itself {found.name!r}: both must be one name")
+    return found

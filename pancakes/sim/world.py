@@ -10,23 +10,33 @@ from __future__ import annotations
 import math
 import random
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import cache
 from typing import Any, Final, TypeVar
 
-from pancakes.devices import Battery, Infrared, Motion, Pose, Sonar
+from pancakes.devices import Battery, Dock, Encoders, Infrared, LaserScan, Motion, Pose, Sonar
 from pancakes.errors import PancakesError
-from pancakes.packet import SYSTEM
+from pancakes.packet import agent_of
 from pancakes.settings import Positive
-from pancakes.sim.arena import Arena, Fan, Incident
+from pancakes.sim.arena import Arena, Incident
 from pancakes.sim.battery import BatteryModel
-from pancakes.sim.bodies import ContentSettings, Disc, NoiseSettings, Robot, SensorNode, Walker
-from pancakes.sim.hardware_bus import Attach, Attached, BusServer, Drive, Halt, Reading, Refused, Reply, Request, Sample
+from pancakes.sim.bodies import (
+    ChargingDock,
+    ContentSettings,
+    Disc,
+    NoiseSettings,
+    Robot,
+    SensorNode,
+    Walker,
+    sensed_motion,
+)
 from pancakes.sim.pedestrian import DECIDE_EVERY_S, Obstacle, Wayfinder
-from pancakes.sim.robot_models import IrRing, SonarRing, Wheels, robot_model
+from pancakes.sim.rays import Fan
+from pancakes.sim.robot_models import IrRing, LaserScanner, SonarRing, Wheels, robot_model
+from pancakes.sim.simulated_world import EARLY_S, SimulatedWorld
 from pancakes.sim.world_state import BodyState, Kind, Spent, WorldState
 from pancakes.supervision.task_core import TaskCore
-from pancakes.task import Task, Tick, every
+from pancakes.task import Tick, every
 
 _IR_RAYS = 3
 _SONAR_RAYS = 5
@@ -36,6 +46,11 @@ _IR_MAX_RAW = 4095  # its converter has 12 bits
 @cache
 def _fan(ring: IrRing | SonarRing, rays: int, limit_m: float) -> Fan:
     return Fan(ring.sensors, ring.cone_rad, rays, limit_m)
+
+
+@cache
+def _laser_fan(laser: LaserScanner) -> Fan:
+    return Fan(laser.sensors, 0.0, 1, laser.max_range_m)
 
 
 class Senses:
@@ -55,7 +70,7 @@ class Senses:
     def battery(self, robot: Robot, noise_v: float) -> Battery:
         """Measure a robot's battery."""
         voltage_v = robot.battery.voltage_v + noise_v * self._normal()
-        return Battery(voltage_v, robot.battery.level_at(voltage_v))
+        return Battery(voltage_v, robot.battery.level_at(voltage_v), robot.battery.charging)
 
     def infrared(self, robot: Robot) -> Infrared:
         """Ask a robot's infrared ring. Distances come from the raw values, noise and rounding included.
@@ -91,38 +106,43 @@ class Senses:
             ranges_m.append(0.0 if distance_m < 0.0 else distance_m if distance_m < limit_m else limit_m)
         return Sonar(fan.bearings_rad, tuple(ranges_m), limit_m)
 
-    def motion(self, sensor: SensorNode, discs: Sequence[Disc]) -> Motion:
-        """Ask a motion sensor which of some discs move in its field of view.
+    def laser(self, robot: Robot) -> LaserScan:
+        """Ask a robot's laser scanner.
 
-        Returns:
-            Whether there is one; where the nearest is, if the sensor can tell.
+        Raises:
+            PancakesError: robots of this kind have none.
         """
-        settings = sensor.motion
-        x_m, y_m = sensor.disc.position
-        nearest: tuple[float, float] | None = None
-        for disc in discs:
-            if math.hypot(*disc.velocity) < settings.least_speed_mps:
-                continue
-            dx_m, dy_m = disc.position[0] - x_m, disc.position[1] - y_m
-            range_m = math.hypot(dx_m, dy_m)
-            bearing_rad = math.remainder(math.atan2(dy_m, dx_m) - sensor.disc.theta_rad, math.tau)
-            seen = range_m <= settings.range_m and abs(bearing_rad) <= 0.5 * settings.field_of_view_rad
-            if seen and (nearest is None or range_m < nearest[0]):
-                nearest = (range_m, bearing_rad)
-        if nearest is None or not settings.locates:
-            return Motion(nearest is not None)
-        range_m = nearest[0] + settings.range_noise_m * self._normal()
-        bearing_rad = nearest[1] + settings.bearing_noise_rad * self._normal()
-        return Motion(True, math.remainder(bearing_rad, math.tau), max(range_m, 0.0))
+        laser = robot.laser_scanner()
+        laser_m, normal = self._noise.laser_m, self._normal
+        ranges_m = [
+            max(0.0, distance_m + laser_m * normal()) if distance_m < math.inf else math.inf
+            for distance_m in self._arena.ranges(robot.disc, _laser_fan(laser))
+        ]
+        return LaserScan.of(laser.start_rad, laser.step_rad, ranges_m, laser.max_range_m)
+
+    def encoders(self, robot: Robot) -> Encoders:
+        """Ask the encoders of a robot's wheels.
+
+        Raises:
+            PancakesError: robots of this kind have none.
+        """
+        encoders, (left_m, right_m) = robot.wheel_encoders(), robot.turned_m()
+        radius_m = encoders.wheel_radius_m
+        angles_rad = (encoders.angle_rad(left_m), encoders.angle_rad(right_m))
+        speeds_radps = (robot.wheels.left_mps / radius_m, robot.wheels.right_mps / radius_m)
+        return Encoders(("left", "right"), angles_rad, speeds_radps)
+
+    def motion(self, sensor: SensorNode, discs: Sequence[Disc]) -> Motion:
+        """Ask a motion sensor which of some discs move in its field of view."""
+        moving = [(*disc.position, math.hypot(*disc.velocity)) for disc in discs]
+        place = (*sensor.disc.position, sensor.disc.theta_rad)
+        return sensed_motion(sensor.motion, place, moving, self._normal)
 
 
 _T = TypeVar("_T")
 
 STEP_S: Final = 0.01
 """The step of the simulation."""
-
-EARLY_S: Final = 1e-6
-"""A clock that reads this much less than a moment means that moment."""
 
 _LOOK_STEPS = round(DECIDE_EVERY_S / STEP_S)
 _WALKER_KG = 70.0
@@ -148,6 +168,7 @@ class Physics:
         self._sensors: dict[str, SensorNode] = {}
         self._standing: list[BodyState] = []  # of the sensors, which never move
         self._walkers: dict[str, Walker] = {}
+        self._docks = {name: ChargingDock(dock) for name, dock in settings.docks.items()}
         self._outside: dict[str, bool] = {}
         self._incidents: list[Incident] = []
         self._steps = 0
@@ -216,6 +237,9 @@ class Physics:
         if until % _LOOK_STEPS == 0:
             for robot in self._robots.values():
                 robot.settle(DECIDE_EVERY_S)
+                robot.battery.charging = False
+            for dock in self._docks.values():
+                dock.settle(self.time_s, DECIDE_EVERY_S, self._robots)
             self._watch_bounds()
 
     def _look(self, walker: Walker, time_s: float) -> None:
@@ -259,12 +283,25 @@ class Physics:
         self._robot(name).drive(wheels, self.time_s + ttl_s, source)
 
     def hold(self, name: str) -> None:
-        """Stop a robot's wheels.
+        """Stop a robot's wheels, or release a dock.
 
         Raises:
-            PancakesError: there is no such robot.
+            PancakesError: there is no such robot, nor such a dock.
         """
-        self._robot(name).hold()
+        dock = self._docks.get(name)
+        if dock is not None:
+            dock.release()
+        else:
+            self._robot(name).hold()
+
+    def dock(self, name: str, ttl_s: float, robot: str) -> None:
+        """Hold a dock for a robot for the next `ttl_s` seconds, or until the next command.
+
+        Raises:
+            PancakesError: there is no such dock, or no such robot.
+        """
+        self._robot(robot)
+        self._dock(name).hold(robot, self.time_s + ttl_s)
 
     def check(self, name: str, device_type: str, model: str = "") -> None:
         """Make sure that a body has a device of a type.
@@ -290,8 +327,14 @@ class Physics:
                 self._robot(name).infrared_ring()
             case "sonar":
                 self._robot(name).sonar_ring()
+            case "laser_scan":
+                self._robot(name).laser_scanner()
+            case "encoders":
+                self._robot(name).wheel_encoders()
             case "motion":
                 self._sensor(name)
+            case "dock":
+                self._dock(name)
             case _:
                 raise PancakesError(f"the simulated world has no device of the type {device_type!r}")
 
@@ -314,8 +357,14 @@ class Physics:
                 reading = self._senses.infrared(self._robot(name))
             case "sonar":
                 reading = self._senses.sonar(self._robot(name))
+            case "laser_scan":
+                reading = self._senses.laser(self._robot(name))
+            case "encoders":
+                reading = self._senses.encoders(self._robot(name))
             case "motion":
                 reading = self._senses.motion(self._sensor(name), self._moving_discs(name))
+            case "dock_state":
+                reading = self._dock(name).state()
             case _:
                 raise PancakesError(f"the simulated world has no sensor of the type {device_type!r}")
         robot = self._robots.get(name)
@@ -359,6 +408,9 @@ class Physics:
     def _sensor(self, name: str) -> SensorNode:
         return _named(name, self._sensors, "sensor node")
 
+    def _dock(self, name: str) -> ChargingDock:
+        return _named(name, self._docks, "dock")
+
     def _moving_discs(self, sensor_name: str) -> list[Disc]:
         """Return what a motion sensor takes notice of, if it moves."""
         discs = [walker.disc for walker in self._walkers.values()]
@@ -392,7 +444,7 @@ def _body_state(
     return BodyState(disc.name, kind, disc.x_m, disc.y_m, theta_rad, v_mps, omega_radps, battery_v, driven_by, spent)
 
 
-class World(TaskCore, Task):
+class World(TaskCore, SimulatedWorld):
     """The simulated world.
 
     Publishes a `world_state` packet on `system` at exact multiples of its period in mission time, and the events
@@ -418,29 +470,15 @@ class World(TaskCore, Task):
                 raise ValueError(f"state_hz = {self.state_hz} gives a period that is no whole number of {STEP_S} s")
 
     settings: Settings
-    _server: BusServer | None = None
 
     def on_start(self) -> None:
         self._simulation = Physics(self.settings, self.random)
         self._state_steps = round(1.0 / (self.settings.state_hz * STEP_S))
         self._next_state_step = 0
         self._advanced_s = -1.0
-        self._server = BusServer(self.kernel.transport, self.call, self._serve, self.log)
-        address = self._server.listen(self.settings.bus)
-        self.log("info", f"the hardware bus listens at {address}")
-
-    def on_stop(self) -> None:
-        if self._server is not None:
-            self._server.close()
-
-    def on_failure(self, *error: Any) -> None:
-        self.on_stop()
-
-    def on_settings(self) -> None:
-        self.log("warning", "a world that runs keeps its contents: its new settings count from its next start")
+        super().on_start()
 
     def truth(self) -> WorldState:
-        """Return what all bodies do, as of the newest step. To be read between two turns, in virtual time."""
         return self._simulation.state()
 
     def initial_period_s(self, method: str, period_s: float) -> float:
@@ -448,11 +486,11 @@ class World(TaskCore, Task):
         return super().initial_period_s(method, 1.0 / self.settings.state_hz)
 
     @every(hz=20)
-    def advance(self, tick: Tick) -> None:
+    def follow_clock(self, tick: Tick) -> None:
         """Advance to the present."""
-        self._advance()
+        self.advance()
 
-    def _advance(self) -> None:
+    def advance(self) -> None:
         now = self.kernel.now  # not `self.now`, which only calls it: each request asks
         now_s = now()
         if now_s == self._advanced_s:
@@ -460,33 +498,32 @@ class World(TaskCore, Task):
         self._advanced_s = now_s
         while self._next_state_step * STEP_S <= now_s + EARLY_S:
             self._simulation.advance(self._next_state_step * STEP_S)
-            self.publish(SYSTEM, self._simulation.state())
+            self.publish_truth()
             self._next_state_step += self._state_steps
         self._simulation.advance(now_s)
-        for incident in self._simulation.take_incidents():
-            fields = asdict(incident)
-            self.event(fields.pop("kind"), **{**fields, "names": list(incident.names)})
+        for found in self._simulation.take_incidents():
+            self.incident(found.kind, found.time_s, found.names, found.x_m, found.y_m)
 
-    def _serve(self, request: Request) -> Reply | None:
-        """Answer a request of a simulated device, at the world's present."""
-        self._advance()
-        simulation = self._simulation
-        try:
-            if type(request) is Sample:  # before the others: most of all are
-                if request.packets_sent is not None:
-                    simulation.packets_sent(request.body, request.packets_sent)
-                if request.listening is not None:
-                    simulation.listens(request.body, request.listening)
-                return Reading(request.device, request.type, simulation.sample(request.body, request.type))
-            match request:
-                case Drive():
-                    wheels = Wheels(request.left_mps, request.right_mps)
-                    simulation.drive(request.body, wheels, request.ttl_s, request.source)
-                case Attach():
-                    simulation.check(request.body, request.type, request.model)
-                    return Attached(request.device)
-                case Halt():
-                    simulation.hold(request.body)
-        except PancakesError as error:
-            return Refused(request.device, str(error))
-        return None
+    def check(self, body: str, device_type: str, model: str) -> None:
+        self._simulation.check(body, device_type, model)
+
+    def sample(self, body: str, device_type: str) -> Any:
+        return self._simulation.sample(body, device_type)
+
+    def drive(self, body: str, wheels: Wheels, ttl_s: float, source: str) -> None:
+        self._simulation.drive(body, wheels, ttl_s, source)
+
+    def act(self, body: str, device_type: str, command: Any, ttl_s: float, source: str) -> None:
+        if not isinstance(command, Dock):
+            super().act(body, device_type, command, ttl_s, source)
+        # The robot is the agent that commands the dock: it cannot name another.
+        self._simulation.dock(body, ttl_s, agent_of(source))
+
+    def hold(self, body: str, device: str) -> None:
+        self._simulation.hold(body)
+
+    def radio(self, body: str, packets_sent: int | None, listening: bool | None) -> None:
+        if packets_sent is not None:
+            self._simulation.packets_sent(body, packets_sent)
+        if listening is not None:
+            self._simulation.listens(body, listening)

@@ -21,21 +21,26 @@ from typing import Any, Self
 from msgspec.structs import replace
 
 from pancakes.agent.agent import Agent, Virtual
-from pancakes.config import Config, DeviceConfig, ServiceConfig, TaskConfig, load, parse
+from pancakes.config import Config, DeviceConfig, FilterConfig, ServiceConfig, TaskConfig, load, parse
 from pancakes.devices.driver import Driver
+from pancakes.errors import ConfigError, Fault
+from pancakes.filters.filter import Filter
 from pancakes.journal import MemoryJournal
 from pancakes.kernel.virtual_time import VirtualDispatcher
 from pancakes.mesh.memory_network import MemoryNetwork, Quality
 from pancakes.migration import Cost
 from pancakes.packet import NETWORK, SYSCTRL, Packet, covers, type_name
 from pancakes.service import Service
+from pancakes.settings import known_keys
 from pancakes.simulation.agent_handle import PATIENCE_S, AgentHandle, NotInTimeError
 from pancakes.task import Task
 from pancakes.util import codecs
 from pancakes.util.clock import SkewedClock
 from pancakes.util.plugins import Plugins
+from pancakes.util.text import suggestion
 
 _HEAD = 'schema = 1\n[agent]\nname = "{name}"\n'
+_TABLE_OF = {TaskConfig: "task", DeviceConfig: "device", FilterConfig: "filter", ServiceConfig: "service"}
 _QUIET = ServiceConfig("log", "log", {"console": False})
 
 
@@ -58,7 +63,8 @@ def config_of(name: str, text: str = "", **parts: Any) -> Config:
     Args:
         name: its name.
         text: its configuration as TOML; `schema` and `[agent]` may be left out.
-        parts: `tasks`, `devices`, `services`, `classes` and keys of `[agent]` and `[clock]`, as for `Fleet.start`.
+        parts: `tasks`, `devices`, `filters`, `services`, `classes` and keys of `[agent]` and `[clock]`, as for
+            `Fleet.start`.
     """
     return build_config(name, text, **parts).config
 
@@ -69,6 +75,7 @@ def build_config(
     *,
     tasks: Mapping[str, Any] | None = None,
     devices: Mapping[str, Any] | None = None,
+    filters: Mapping[str, Any] | None = None,
     services: Mapping[str, Any] | None = None,
     classes: Mapping[str, type] | None = None,
     **agent: Any,
@@ -85,6 +92,9 @@ def build_config(
             if isinstance(cls, type):
                 named[f"test.{cls.__qualname__.rpartition('.')[2]}"] = cls
                 cls = f"test.{cls.__qualname__.rpartition('.')[2]}"
+            if unknown := [key for key in fields if key not in known_keys(kind)]:
+                near = suggestion(unknown[0], known_keys(kind))
+                raise ConfigError([Fault(name, f"[{_TABLE_OF[kind]}.{table}] {unknown[0]}", "unknown key", near)])
             made[table] = codecs.convert({"name": table, key: cls or table, **fields}, kind)
         return made
 
@@ -99,6 +109,7 @@ def build_config(
         clock=replace(config.clock, **clock),
         tasks={**config.tasks, **tables(tasks, TaskConfig, "type")},
         devices={**config.devices, **tables(devices, DeviceConfig, "driver")},
+        filters={**config.filters, **tables(filters, FilterConfig, "type")},
         services={**config.services, **tables(services, ServiceConfig, "type")},
     )
     return BuiltConfig(config if "log" in (services or {}) else silent(config), named)
@@ -115,7 +126,7 @@ def registered(classes: Mapping[str, type], extra: Mapping[tuple[str, str], Any]
     """Return plug-ins that know these classes by name, besides all that is installed.
 
     Args:
-        classes: tasks, services, drivers and cost functions, by the name that a configuration uses.
+        classes: tasks, services, drivers, filters and cost functions, by the name that a configuration uses.
         extra: anything else, by (entry point group, name).
     """
     found: dict[tuple[str, str], Any] = {(_group_of(cls), name): cls for name, cls in classes.items()}
@@ -123,10 +134,13 @@ def registered(classes: Mapping[str, type], extra: Mapping[tuple[str, str], Any]
 
 
 def _group_of(cls: type) -> str:
-    for base, group in ((Task, "tasks"), (Service, "services"), (Driver, "drivers"), (Cost, "costs")):
+    for base, group in (
+        *((Task, "tasks"), (Service, "services")),
+        *((Driver, "drivers"), (Filter, "filters"), (Cost, "costs")),
+    ):
         if issubclass(cls, base):
             return f"pancakes.{group}"
-    raise TypeError(f"{cls.__qualname__} is no task, service, driver or cost function")
+    raise TypeError(f"{cls.__qualname__} is no task, service, driver, filter or cost function")
 
 
 def meeting(name: str, known: Iterable[Config], links: int | None = None) -> dict[str, Any]:
@@ -220,6 +234,7 @@ class Fleet:
         *,
         tasks: Mapping[str, Any] | None = None,
         devices: Mapping[str, Any] | None = None,
+        filters: Mapping[str, Any] | None = None,
         services: Mapping[str, Any] | None = None,
         classes: Mapping[str, type] | None = None,
         settle: bool = True,
@@ -238,6 +253,7 @@ class Fleet:
             tasks: tasks by name, besides those of `text`: a class, or a mapping with a class or entry point name as
                 `type` and the other keys of `[task.NAME]`.
             devices: devices by name, likewise with drivers.
+            filters: filters of actuators by name, likewise; `device` names the actuator.
             services: services by name, likewise; a default service may be given with only its settings.
             classes: classes that `text` names, by name.
             settle: whether to wait until it is ready.
@@ -247,7 +263,8 @@ class Fleet:
                 written below the system's temporary directory, where pytest's `tmp_path` lies.
         """
         agent = {**meeting(name, self._configs.values(), agent.get("links")), "join_s": 0.0, **agent}
-        made = build_config(name, text, tasks=tasks, devices=devices, services=services, classes=classes, **agent)
+        parts = {"tasks": tasks, "devices": devices, "filters": filters, "services": services, "classes": classes}
+        made = build_config(name, text, **parts, **agent)
         self._clocks[name] = clock_rate, clock_ahead_s
         return self.start_config(made.config, made.classes, settle)
 

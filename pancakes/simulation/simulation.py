@@ -16,7 +16,7 @@ from pancakes.config import Config, load
 from pancakes.control import Begin
 from pancakes.mesh.memory_network import Quality
 from pancakes.packet import LOG, SYSCTRL
-from pancakes.sim.world import World
+from pancakes.sim.simulated_world import SimulatedWorld
 from pancakes.sim.world_state import BodyState, WorldState
 from pancakes.simulation.agent_handle import PATIENCE_S, AgentHandle, SimulationError
 from pancakes.simulation.fleet import Faults, Fleet, build_config, has_met, meeting, registered, silent
@@ -102,6 +102,7 @@ class Simulation:
         *,
         tasks: Mapping[str, Any] | None = None,
         devices: Mapping[str, Any] | None = None,
+        filters: Mapping[str, Any] | None = None,
         services: Mapping[str, Any] | None = None,
         classes: Mapping[str, type] | None = None,
         **agent: Any,
@@ -114,6 +115,7 @@ class Simulation:
             tasks: tasks by name, besides those of `text`: a class, or a mapping with a class or entry point name as
                 `type` and the other keys of `[task.NAME]`.
             devices: devices by name, likewise with drivers.
+            filters: filters of actuators by name, likewise; `device` names the actuator.
             services: services by name, likewise; a default service may be given with only its settings.
             classes: classes that `text` names, by name.
             agent: keys of `[agent]`. Without `listen` it listens at `tcp://NAME:7400` and knows those added before.
@@ -123,7 +125,8 @@ class Simulation:
         """
         others = [config for config in self._configs.values() if config.agent.name != name]
         agent = {**meeting(name, others, agent.get("links")), **agent}
-        made = build_config(name, text, tasks=tasks, devices=devices, services=services, classes=classes, **agent)
+        parts = {"tasks": tasks, "devices": devices, "filters": filters, "services": services, "classes": classes}
+        made = build_config(name, text, **parts, **agent)
         self._classes.update(made.classes)
         self._enter(made.config)
         return self
@@ -300,17 +303,18 @@ class Simulation:
     def world(self) -> WorldState:
         """Return the truth: what all bodies of the simulated world do, as of its newest step.
 
-        The world advances each time that it publishes its state (`state_hz`, 20 Hz) or is asked by a device.
+        The world advances each time that it publishes its state (`sim.world`: `state_hz`, 20 Hz) or is asked by a
+        device.
 
         Raises:
-            SimulationError: no agent runs a task of the type `sim.world`.
+            SimulationError: no agent runs a simulated world, `sim.world` or another.
         """
         for handle in self.agents.values():
             for entry in handle.kernel.tasks.all():
                 found = handle.component(f"{entry.service}/{entry.name}")
-                if isinstance(found, World):
-                    return found.truth()
-        raise SimulationError("no agent of this simulation runs a task of the type 'sim.world'")
+                if found is not None and isinstance(found.facade, SimulatedWorld):
+                    return found.facade.truth()
+        raise SimulationError("no agent of this simulation runs a simulated world, such as 'sim.world'")
 
     def body(self, name: str) -> BodyState:
         """Return the truth about one body of the simulated world."""

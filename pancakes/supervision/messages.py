@@ -14,9 +14,9 @@ import msgspec
 
 from pancakes.control import Checkpoints, Configure, Describe, Guarding, Refusal, Reschedule, SetFence, Take
 from pancakes.durable.delivery import Letter
-from pancakes.durable.record import Epoch
+from pancakes.durable.snapshot import CarriedRequests
 from pancakes.kernel.mailbox import Reference
-from pancakes.packet import Fence, Packet
+from pancakes.packet import Cause, Fence, Packet
 from pancakes.supervision.lifecycle import Request
 
 _NONE: Mapping[str, Any] = {}
@@ -30,12 +30,14 @@ class Carried(msgspec.Struct, frozen=True):
         state: its state, as plain values.
         periods_s: the periods of its timers, by method.
         heard: its duplicate filter: up to which number it has handled the packets addressed to it, by stream.
+        requests: its open requests; None: it has none.
     """
 
     settings: Mapping[str, Any]
     state: Mapping[str, Any]
     periods_s: Mapping[str, float] = _NONE
     heard: Mapping[str, int] = _NONE
+    requests: CarriedRequests | None = None
 
 
 # What a service tells a task's actor.
@@ -60,13 +62,13 @@ class Look(msgspec.Struct, frozen=True):
 
 
 class StandStill(msgspec.Struct, frozen=True):
-    """Stand still, to be handed over; to be answered by `Stood`.
+    """Pause, so that the task can migrate; to be answered by `Stood`.
 
     Attributes:
-        offer: the hand-off.
+        number: names the migration.
     """
 
-    offer: Epoch
+    number: int
 
 
 class GoOn(msgspec.Struct, frozen=True):
@@ -91,17 +93,35 @@ class Give(msgspec.Struct, frozen=True):
     packet: Packet | None
 
 
+class RequestDue(msgspec.Struct, frozen=True):
+    """A task tells itself that the time of a request is up, or that an answer may be sent again.
+
+    Attributes:
+        key: the request.
+        asked: whether the task has made it; else it was asked.
+        again: whether the answer is to be sent again.
+    """
+
+    key: Cause
+    asked: bool
+    again: bool = False
+
+
 # What a task's actor tells its service.
 
 
 class HasNoPermit(msgspec.Struct, frozen=True):
-    """A guarded task has found its permit over, and stands still from now on; to be answered by `GoOn` in time.
+    """A guarded task has found its permit over, and is paused from now on; to be answered by `GoOn` in time.
 
     Attributes:
         task: the actor.
     """
 
     task: Reference
+
+
+class LoanChanged(msgspec.Struct, frozen=True):
+    """An actuator that it holds is driven by hand from now on, or no longer: it looks whether it has to wait."""
 
 
 class TaskBegan(msgspec.Struct, frozen=True):
@@ -161,17 +181,17 @@ class Looked(msgspec.Struct, frozen=True):
 
 
 class Stood(msgspec.Struct, frozen=True):
-    """It stands still, or cannot be moved and goes on.
+    """It is paused, or cannot be moved and goes on.
 
     Attributes:
         task: the actor.
-        offer: the hand-off.
+        number: names the migration.
         carried: what it carries; None: it cannot say, and goes on.
         reason: why it cannot.
     """
 
     task: Reference
-    offer: Epoch
+    number: int
     carried: Carried | None
     reason: str = ""
 
@@ -182,7 +202,7 @@ class LetterOutcome(Enum):
     TAKEN = "taken"
     """It has had its effect, now or before."""
     EARLY = "early"
-    """It is not its turn: the task stands still, or packets before it are missing. Its sender sends it again."""
+    """It is not its turn: the task is paused, or packets before it are missing. Its sender sends it again."""
     FAILED = "failed"
     """A handler raised, and the task fails."""
 
@@ -209,6 +229,66 @@ class Close(msgspec.Struct, frozen=True):
     """
 
     for_s: float | None = None
+
+
+class TryClasses(msgspec.Struct, frozen=True):
+    """The root asks a service whether its tasks could go on in new classes; to be answered by `TasksReloaded`.
+
+    Attributes:
+        asker: the root.
+        number: names the question.
+        classes: the new classes, by type.
+        version: the version that they are of.
+    """
+
+    asker: Reference
+    number: int
+    classes: Mapping[str, Any]
+    version: str
+
+
+class TakeClasses(msgspec.Struct, frozen=True):
+    """The root has the tasks of a service go on in new classes; to be answered by `TasksReloaded`.
+
+    Attributes:
+        order: as `TryClasses`, with a number of its own.
+        request: the request that asks for it.
+        forgets: whether packets that wait for the tasks are dropped, because they may be of an old class.
+    """
+
+    order: TryClasses
+    request: Request
+    forgets: bool
+
+
+class ReloadedTask(msgspec.Struct, frozen=True):
+    """A task that goes on in its new class, or could.
+
+    Attributes:
+        service, task, type: the task.
+        state: how it is, in a word.
+        refusal: why it goes on in its old class, or does not run in the new one; None: it does, or would.
+    """
+
+    service: str
+    task: str
+    type: str
+    state: str
+    refusal: Refusal | None = None
+
+
+class TasksReloaded(msgspec.Struct, frozen=True):
+    """What a service answers `TryClasses` and `TakeClasses`.
+
+    Attributes:
+        service: the name of the service.
+        number: as in what it answers.
+        tasks: its tasks of these types.
+    """
+
+    service: str
+    number: int
+    tasks: tuple[ReloadedTask, ...]
 
 
 class ServiceReady(msgspec.Struct, frozen=True):
@@ -259,8 +339,8 @@ class PeerDown(msgspec.Struct, frozen=True):
     peer: str
 
 
-GUARDIAN: Final = "kernel/Guardian"
-"""Where on each agent the guardian is."""
+GUARDIAN: Final = "kernel/Registrar"
+"""Where on each agent the registrar is, which knows the tasks that the agent guards."""
 
 
 class AskedOfGuardian(msgspec.Struct, frozen=True):

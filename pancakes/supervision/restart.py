@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from enum import Enum
-from typing import Any, Final, Literal
+from typing import Any, Final, Literal, TypeAlias
 
 import msgspec
 from msgspec.structs import replace
@@ -19,11 +19,16 @@ Draw = Callable[[float, float], float]
 """Draws a number between two, as `random.Random.uniform` does."""
 
 
+Policy: TypeAlias = Literal["no", "on-failure", "always"]
+"""When to start again what has ended, in the words of docker compose: for tasks, devices, services and processes."""
+
+
 class RestartSpec(msgspec.Struct, frozen=True):
     """What follows when a task, a device or a service has ended by itself.
 
     Attributes:
-        policy: `always`: it is started again; `on-failure`: only if it failed; `no`: never. As docker compose has them.
+        policy: `always`: it is started again; `on-failure`: only if it failed; `no`: never. A fleet file has the same
+            words for the processes of agents.
         at_most: how many restarts are tried ...
         within_s: ... in this many seconds of host time in which it runs; one more failure, and it is given up. The
             pauses, and starts that fail, take none of this time.
@@ -33,7 +38,7 @@ class RestartSpec(msgspec.Struct, frozen=True):
         again_s: what was given up is tried again each time this many seconds have passed; 0: never.
     """
 
-    policy: Literal["no", "on-failure", "always"] = "always"
+    policy: Policy = "always"
     at_most: int = 8
     within_s: float = 60.0
     pause_s: float = 0.1

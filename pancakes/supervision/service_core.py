@@ -38,7 +38,18 @@ from pancakes.supervision.lifecycle import (
     Written,
     request_of,
 )
-from pancakes.supervision.messages import Carried, Changed, Close, ServiceEnded, ServiceReady, TaskBegan, TaskEnded
+from pancakes.supervision.messages import (
+    Carried,
+    Changed,
+    Close,
+    Looked,
+    ServiceEnded,
+    ServiceReady,
+    TakeClasses,
+    TaskBegan,
+    TaskEnded,
+    TryClasses,
+)
 from pancakes.supervision.restart import Restarts
 from pancakes.supervision.slots import (
     CHANGES,
@@ -59,6 +70,7 @@ from pancakes.task import TaskSpec
 
 if TYPE_CHECKING:
     from pancakes.service import Service
+    from pancakes.supervision.reloads import Reloads
 
 
 class ServiceCore(ActorCore):
@@ -110,6 +122,7 @@ class ServiceCore(ActorCore):
         self._newest_command = 0
         self._startup = Startup(self, self.started_at_once, self._start, self._tell_ready)
         self._closing = Closing(self, self.feed, self.let_go, self.settle_all)
+        self._reloads_made: Reloads | None = None
 
     # For subclasses --------------------------------------------------------------------------------------------
 
@@ -131,7 +144,18 @@ class ServiceCore(ActorCore):
         for device in registry.devices():
             if not reason and device.actuator and device.type in slot.spec.cls.requires:
                 reason = registry.taken(device.name, slot.address)
+        if not reason and (loan := registry.waits_for(slot.address)) is not None:
+            reason = loan.why  # once it has ended, it no longer holds the actuator
         return reason
+
+    def refuse_reload(self, slot: Slot) -> None:
+        """Raise `ControlRefusedError` if a task cannot go on in a new class now, whatever that class is."""
+
+    def set_settings(self, slot: Slot, settings: Mapping[str, Any]) -> dict[str, Any]:
+        """Return those settings of a task that were set, by its configuration or since, and are not defaults."""
+        from pancakes.durable.checkpoints import set_of  # which knows of services
+
+        return set_of(slot.spec, settings)
 
     def arguments_of(self, slot: Slot) -> Mapping[str, Any]:
         """Return what a task's class wants besides what every task gets."""
@@ -283,14 +307,28 @@ class ServiceCore(ActorCore):
                 if slot is not None and slot.task is message.task:
                     self.feed(slot, Began())
             case TaskEnded():
-                self._task_ended(message)
+                self._task_ended(message if self._reloads_made is None else self._reloads_made.ended(message))
             case Changed():
                 self._task_changed(message)
             case Close():
                 self.close(message.for_s)
+            case Looked():
+                if self._reloads_made is not None:
+                    self._reloads_made.looked(message)
+            case TryClasses():
+                self._reloads().attempt(message)
+            case TakeClasses():
+                self._reloads().take(message)
             case _:
                 return super().take_message(message)
         return None
+
+    def _reloads(self) -> Reloads:
+        if self._reloads_made is None:
+            from pancakes.supervision.reloads import Reloads  # few services are ever asked
+
+            self._reloads_made = Reloads(self)
+        return self._reloads_made
 
     def _task_ended(self, ended: TaskEnded) -> None:
         slot = self.slots.get(ended.task.name)
@@ -407,7 +445,8 @@ class ServiceCore(ActorCore):
 
     def answer(self, slot: Slot, effect: Answer) -> None:
         """Answer a request to start or stop a task; the commands that wait behind it go on."""
-        self.reply(effect.asker, Refusal.if_any(effect.reason))
+        if self._reloads_made is None or not self._reloads_made.answered(slot, effect):
+            self.reply(effect.asker, Refusal.if_any(effect.reason))
         self.call(lambda: self._next_command(slot))
 
     def tell_news(self, slot: Slot, effect: Tell) -> None:

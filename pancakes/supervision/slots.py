@@ -282,6 +282,8 @@ def stop(service: Commanded, slot: Slot, body: Stop, request: Request) -> None:
         raise ControlRefusedError(f"{slot.address} is stopped already")
     if body.for_s is not None:
         raise ControlRefusedError(f"{slot.address} is a task: only a service can be stopped for a time")
+    if body.then:
+        raise ControlRefusedError(f"{slot.address} is a task of a service that starts none in its place", "unsupported")
     if body.dry_run:
         service.reply(request)
         return
@@ -374,11 +376,16 @@ OF_TASKS_ONLY: Final = frozenset(COMMANDS) - {Start, Stop, Restart, Describe}
 """What cannot be asked of a service."""
 
 
-STANDS_STILL: Final = "stands still"
-"""How a guarded task rests that has no permit, and that goes on once it has one."""
+PAUSED: Final = "paused"
+"""How a task rests that runs and does not act: it is guarded and has no permit, or an actuator of its is driven by
+hand. It goes on by itself."""
 
 SILENT: Final = "silent"
 """How a device is that runs, and has had no reading for too long."""
+
+
+HALTED: Final = "halted"
+"""How an actuator is that runs, and stands until a person ends the halt."""
 
 
 def describe_task(kernel: Kernel, entry: TaskEntry) -> dict[str, Any]:
@@ -414,7 +421,9 @@ def describe_task(kernel: Kernel, entry: TaskEntry) -> dict[str, Any]:
     if note is not None:
         told["guarding"] = note.plain(kernel.host.now(), kernel.permits.left_s(note.right))
         if not told["guarding"]["permit_s"] and (life.state is State.RUNNING or told["guarding"]["copied"]):
-            told["rest"] = STANDS_STILL
+            told["rest"] = PAUSED
+    if (waits_for := kernel.registry.waits_for(entry.address)) is not None and life.state is State.RUNNING:
+        told["rest"], told["reason"] = PAUSED, waits_for.why
     if not entry.device:
         return told
     holder = kernel.registry.holder(entry.name)
@@ -422,6 +431,12 @@ def describe_task(kernel: Kernel, entry: TaskEntry) -> dict[str, Any]:
         told["readings"] = readings.describe(kernel.mission.now())
         if told["readings"]["silent_s"] is not None and life.state is State.RUNNING:
             told["rest"] = SILENT
+    if kernel.halt.why and kernel.registry.is_actuator(entry.name):
+        told["rest"] = HALTED
+    if (filters := kernel.registry.filters(entry.name)) is not None:
+        told["filters"] = filters.describe(kernel.mission.now())
+    if (loan := kernel.registry.loan(entry.name)) is not None:
+        told["driven_by"] = loan.by
     return {**told, "device": entry.device, **({"holder": holder} if holder else {})}
 
 

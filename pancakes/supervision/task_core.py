@@ -14,15 +14,16 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
+from msgspec.structs import replace
 
 from pancakes.control import Configure, Describe, Refusal, Reschedule, SetFence
 from pancakes.durable.delivery import Incoming
 from pancakes.errors import ControlRefusedError, PancakesError
 from pancakes.kernel.actor import ActorCore
 from pancakes.kernel.handlers import checked_period, period_of
-from pancakes.kernel.mailbox import Mailbox, Reference, Told, tell
+from pancakes.kernel.mailbox import ASK_TYPE, REQUEST_TYPES, Mailbox, Reference, Told, Urgent, tell
 from pancakes.kernel.registry import SettingsNote
-from pancakes.packet import Fence
+from pancakes.packet import Fence, Packet
 from pancakes.settings import SettingsError, change_settings, make_settings, plain_settings, why_unreadable
 from pancakes.supervision.messages import (
     Carried,
@@ -33,8 +34,10 @@ from pancakes.supervision.messages import (
     HasNoPermit,
     LetterGiven,
     LetterOutcome,
+    LoanChanged,
     Look,
     Looked,
+    RequestDue,
     StandStill,
     Stood,
     TaskBegan,
@@ -43,6 +46,7 @@ from pancakes.supervision.messages import (
 
 if TYPE_CHECKING:
     from pancakes.kernel.kernel import Kernel
+    from pancakes.supervision.requests import Requests
     from pancakes.task import Task
 
 
@@ -100,6 +104,8 @@ class TaskCore(ActorCore):
         self.__carried_state = copy.deepcopy(carried.state) if carried.state else {}
         self.__carried = carried
         self.__began_s = (0.0, 0.0)
+        self.__requests: Requests | None = None
+        self.__has_begun = False
         self.is_revoked = False
 
     def keep_settings(self, settings: Any) -> None:
@@ -114,7 +120,7 @@ class TaskCore(ActorCore):
         return period_of(self.__rate_hz) if self.__rate_hz is not None and not self.timers else period_s
 
     def acts(self) -> bool:
-        # A guarded task that does not know whether another agent runs it stands still until its service tells it.
+        # A guarded task that does not know whether another agent runs it is paused until its service tells it.
         permits = self.kernel.permits
         if not permits.by_task or permits.may_act(self.fence):
             return True
@@ -127,8 +133,25 @@ class TaskCore(ActorCore):
         self.is_revoked = True
         super().revoke()
 
+    @property
+    def requests(self) -> Requests:
+        """Its open requests. In the actor."""
+        if self.__requests is None:
+            from pancakes.supervision.requests import Requests  # few tasks ever ask, or are asked
+
+            self.__requests = Requests(self, self.answering, self.__requests_changed, self.__carried.requests)
+            if self.__has_begun:
+                self.__requests.begin()
+        return self.__requests
+
+    def __requests_changed(self) -> None:
+        """Let the next checkpoint look at the task, which may have no state of its own. In the actor."""
+        self.kernel.tasks.note_settings(self.address, SettingsNote(self.kept_settings))
+
     def before_start(self) -> None:
         super().before_start()
+        if self.answering or self.__carried.requests is not None:
+            self.requests.subscribe()
         self.__began_s = (self.kernel.host.now(), self.now())
 
     def began(self) -> dict[str, Any]:
@@ -145,7 +168,12 @@ class TaskCore(ActorCore):
         }
 
     def after_start(self) -> None:
+        self.__has_begun = True
         self.__tell(TaskBegan(self))
+        if self.__requests is not None:
+            self.__requests.begin()
+            self.__requests.look()
+        self.__wait_or_go_on()
 
     def change_settings(self, changes: Mapping[str, Any]) -> None:
         """Change some settings: all of them are good, or nothing changes. In the actor.
@@ -173,6 +201,7 @@ class TaskCore(ActorCore):
             self.__plain("state", self.facade.state, self.facade.State),
             {name: timer.period_s for name, timer in self.timers.items()},
             self.__heard.heard(),
+            self.__requests.carried() if self.__requests is not None else self.__carried.requests,
         )
 
     def __plain_settings(self) -> Mapping[str, Any]:
@@ -209,14 +238,31 @@ class TaskCore(ActorCore):
                 self.__look()
             case StandStill():
                 self.__stand_still(message)
+            case LoanChanged():
+                self.__wait_or_go_on()
             case GoOn():
                 self.fence = message.fence or self.fence
                 self.thaw()
             case Give():
                 self.__take(message)
+            case Urgent() | RequestDue():
+                self.__look_at_requests(message)
             case _:
                 return super().take_message(message)
         return None
+
+    def __wait_or_go_on(self) -> None:
+        """Let all ticks and packets wait while somebody drives an actuator of this task by hand."""
+        before, self.is_waiting = self.is_waiting, self.kernel.registry.waits_for(self.address) is not None
+        if self.is_waiting:
+            self.enter_pause()
+        elif before:
+            self.leave_pause()
+
+    def leave_pause(self) -> None:
+        super().leave_pause()
+        if self.__requests is not None and not (self.is_paused or self.is_waiting or self.is_frozen):
+            self.__requests.go_on()
 
     def __tell(self, message: object) -> bool:
         return self.__owner is not None and tell(self.__owner, message)
@@ -233,16 +279,21 @@ class TaskCore(ActorCore):
     def __stand_still(self, message: StandStill) -> None:
         self.freeze()
         try:
-            stood = Stood(self, message.offer, self.carry())
+            carried = self.carry()
+            if self.__requests is not None:
+                carried = replace(carried, requests=self.__requests.carried(exactly=True))
+            stood = Stood(self, message.number, carried)
         except Exception as error:  # what a task keeps in its state may be anything
-            stood = Stood(self, message.offer, None, str(error))
+            stood = Stood(self, message.number, None, str(error))
             self.thaw()
         self.__tell(stood)
 
     def __take(self, message: Give) -> None:
         """Handle a packet addressed to this task wherever it is, if it is the next of its stream; then say so."""
         letter = message.letter
-        if self.actor_inbox.paused or self.actor_stopped.is_set() or not self.acts():
+        if message.packet is not None and message.packet.type in REQUEST_TYPES:
+            self.__take_request(message, message.packet)
+        elif self.actor_inbox.paused or self.actor_stopped.is_set() or not self.acts():
             self.__tell(LetterGiven(self, message, LetterOutcome.EARLY))
         elif self.__heard.is_old(letter.stream, letter.seq):
             self.__tell(LetterGiven(self, message, LetterOutcome.TAKEN))
@@ -259,6 +310,34 @@ class TaskCore(ActorCore):
             if self.awaited is not None:
                 self.awaited.failed.append(lambda: self.__tell(LetterGiven(self, message, LetterOutcome.FAILED)))
             self.after_awaiting(lambda: self.__took(message))
+
+    def __take_request(self, message: Give, packet: Packet) -> None:
+        """Take a packet of requests, also while the task awaits: it may wait for this answer.
+
+        For the same reason an answer, feedback and a cancellation go past letters that came before them in their
+        stream. They come again in their turn, and have no second effect then.
+        """
+        letter = message.letter
+        if self.is_frozen or self.actor_stopped.is_set() or not self.acts():
+            self.__tell(LetterGiven(self, message, LetterOutcome.EARLY))
+        elif self.__heard.is_old(letter.stream, letter.seq):
+            self.__tell(LetterGiven(self, message, LetterOutcome.TAKEN))
+        else:
+            is_next = self.__heard.is_next(letter.stream, letter.seq, letter.first)
+            if is_next or packet.type != ASK_TYPE:
+                self.requests.take(packet)
+            if is_next:
+                self.__took(message)
+            else:
+                self.__tell(LetterGiven(self, message, LetterOutcome.EARLY))
+
+    def __look_at_requests(self, message: Urgent | RequestDue) -> None:
+        if self.is_frozen or not self.acts():
+            self.keep_back(Told(self, message))
+        elif isinstance(message, RequestDue):
+            self.requests.due(message)
+        else:
+            self.requests.look()
 
     def __took(self, message: Give) -> None:
         letter = message.letter
@@ -335,6 +414,8 @@ class TaskCore(ActorCore):
                 self.log("error", f"the state of {self.address} is lost, because it cannot be written down: {failure}")
         self.kernel.tasks.note_settings(self.address, None)
         super().end_actor(error)
+        if self.__requests is not None:
+            self.__requests.end()
         if self.__owner is not None and not self.__tell(TaskEnded(self, error, last)):
             # Its service has ended before.
             self.kernel.stream.unsubscribe(self.address)

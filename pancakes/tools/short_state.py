@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from typing import Any, Final
+from typing import Annotated, Any, Final, Literal
 
 import msgspec
 
 from pancakes.settings import dotted
+from pancakes.util import codecs
 from pancakes.util.arrays import is_array
 from pancakes.util.text import printable
 
@@ -17,6 +18,28 @@ MOST_BYTES: Final = 4096
 """The most bytes of all names and texts together; further values are left out."""
 MOST_DEEP: Final = 6
 """The depth of nesting at which a table becomes one value."""
+MOST_NODES: Final = 200
+"""The most nodes of a behaviour tree; further nodes are left out."""
+MOST_DEPTH: Final = 1000
+"""The most nodes above one of a behaviour tree: deeper ones Python does not tick."""
+
+
+class TreeRow(msgspec.Struct, frozen=True):
+    """One node of a behaviour tree (`pancakes.trees`).
+
+    Attributes:
+        depth: how many nodes are above it.
+        name: its name.
+        kind: the name of its class.
+        status: `INVALID`, `RUNNING`, `SUCCESS` or `FAILURE`.
+        message: its feedback message.
+    """
+
+    depth: Annotated[int, msgspec.Meta(ge=0, le=MOST_DEPTH)]
+    name: str
+    kind: str
+    status: Literal["INVALID", "RUNNING", "SUCCESS", "FAILURE"]
+    message: str
 
 
 class ShortState(msgspec.Struct, frozen=True):
@@ -25,14 +48,18 @@ class ShortState(msgspec.Struct, frozen=True):
     Attributes:
         rows: name and text of each value; the name of a value in a table has dots, as in TOML.
         cut: whether something was shortened or left out.
+        tree: the nodes of the task's behaviour tree, each before its children; they are not in `rows`. Empty: it has
+            none.
     """
 
     rows: tuple[tuple[str, str], ...]
     cut: bool
+    tree: tuple[TreeRow, ...] = ()
 
     def size(self) -> int:
         """Return its approximate size in memory."""
-        return sum(len(name) + len(text) for name, text in self.rows)
+        of_tree = sum(len(row.name) + len(row.kind) + len(row.message) for row in self.tree)
+        return of_tree + sum(len(name) + len(text) for name, text in self.rows)
 
 
 def shortened(state: Mapping[str, Any], most_chars: int = MOST_CHARS, most_bytes: int = MOST_BYTES) -> ShortState:
@@ -45,17 +72,43 @@ def shortened(state: Mapping[str, Any], most_chars: int = MOST_CHARS, most_bytes
     """
     rows: list[tuple[str, str]] = []
     left = most_bytes
-    cut = False
+    tree, cut = _tree_in(state, most_chars)
+    if tree:
+        state = {name: value for name, value in state.items() if name != NODES}
     for keys, value in _leaves(state, ()):
         name, text, whole = printable(dotted(keys)), *_text(value, most_chars)
         if len(name) > most_chars:
             name, whole = f"{name[: most_chars - 1]}…", False
         left -= len(name.encode()) + len(text.encode())
         if left < 0:
-            return ShortState(tuple(rows), True)
+            return ShortState(tuple(rows), True, tree)
         rows.append((name, text))
         cut = cut or not whole
-    return ShortState(tuple(rows), cut)
+    return ShortState(tuple(rows), cut, tree)
+
+
+NODES: Final = "nodes"
+"""The field of the state of a `TreeTask` that has the nodes of its tree."""
+
+
+def _tree_in(state: Mapping[str, Any], most_chars: int) -> tuple[tuple[TreeRow, ...], bool]:
+    """Return the nodes of the behaviour tree in a state, and whether some are shortened or left out."""
+    nodes = state.get(NODES)
+    if not isinstance(nodes, (list, tuple)) or not nodes:
+        return (), False
+    try:
+        rows = codecs.convert(list(nodes[:MOST_NODES]), list[TreeRow])
+    except msgspec.ValidationError:  # a field of this name in the state of any other task
+        return (), False
+    cut = len(nodes) > MOST_NODES
+    short = []
+    for row in rows:
+        (name, kind, message), whole = zip(
+            *(_text(it, most_chars) for it in (row.name, row.kind, row.message)), strict=True
+        )
+        cut = cut or not all(whole)
+        short.append(TreeRow(row.depth, name, kind, row.status, message))
+    return tuple(short), cut
 
 
 def _leaves(value: Mapping[Any, Any], keys: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], Any]]:

@@ -157,6 +157,11 @@ def check_awaits(cls: type, what: str) -> None:
                 f"{place_of_function(value)}: {part.__qualname__}.{name} is `async def`, and {what} awaits nothing,"
                 " as others wait for it: let a task do that"
             )
+        if hasattr(value, ANSWERS):
+            raise ClassError(
+                f"{place_of_function(value)}: {part.__qualname__}.{name} is decorated with @answers, and {what}"
+                " answers no requests: let a task do that"
+            )
 
 
 def check_runs(function: Any, write: str) -> None:
@@ -270,6 +275,11 @@ def takes(function: Callable[..., Any], count: int, named: Collection[str] = ())
     return True
 
 
+def takes_pending(method: Any) -> bool:
+    """Return whether a method with `@answers` takes the pending request besides the request."""
+    return callable(method) and not takes(method, 2) and takes(method, 3)
+
+
 def _head(function: Any) -> str:
     name = str(getattr(function, "__qualname__", "") or repr(function)).rpartition("<locals>.")[2]
     return f"{place_of_function(function)}: {name}"
@@ -290,12 +300,16 @@ PERIOD: Final = "__period__"
 """The attribute of a method that `@every` leaves."""
 GIVEN: Final = "__given__"
 """The attribute of a method that `@on` leaves besides: what it is called with."""
+ANSWERS: Final = "__answers__"
+"""The attribute of a method that `@answers` leaves: the class of requests that it answers."""
 
 
 def marks_of(function: Any) -> str:
-    """Return which of the two decorates a function, as a user would write it; empty: neither."""
+    """Return which of these decorates a function, as a user would write it; empty: none."""
     if hasattr(function, PERIOD):
         return "@every"
+    if hasattr(function, ANSWERS):
+        return "@answers"
     return "@on" if hasattr(function, SUBSCRIPTIONS) else ""
 
 
@@ -324,6 +338,11 @@ def check_marks(cls: type, reacts: str = "") -> None:
             raise ClassError(
                 f"{head} is decorated with {mark}, and is a {type(value).__name__}, which nothing would call: leave"
                 f" @{type(value).__name__} out"
+            )
+        if hasattr(function, ANSWERS) and (hasattr(function, SUBSCRIPTIONS) or hasattr(function, PERIOD)):
+            raise ClassError(
+                f"{head} is decorated with @answers and with @on or @every, which call it with something else: write"
+                " two methods, which may call a third"
             )
         behind = cls.__mro__[cls.__mro__.index(part) + 1 :]
         hook = next((vars(it)[name] for it in behind if is_own(it) and name in vars(it)), None)

@@ -12,7 +12,8 @@ Nothing is imported before it is asked for. A bad plug-in is reported by name an
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping
-from functools import partial
+from contextlib import suppress
+from functools import cache, partial
 from itertools import islice
 from typing import Any, Final, NamedTuple
 
@@ -27,17 +28,20 @@ GROUPS: Final = {
     "pancakes.tasks": "task type",
     "pancakes.services": "service type",
     "pancakes.drivers": "driver",
+    "pancakes.filters": "filter",
     "pancakes.costs": "cost",
     "pancakes.transports": "transport",
     "pancakes.packets": "packet module",
     "pancakes.demos": "demo",
     "pancakes.commands": "command",
+    "pancakes.robot_models": "robot model",
 }
 """The entry point groups, each with the word for one of its entries."""
 
 BROUGHT_BY: Final = {
     "pancakes.tasks": {
         "encirclement": "pancakes-encirclement",
+        "robotarium": "pancakes-robotarium",
         "ros2": "pancakes-ros2",
         "sensor_field": "pancakes-sensor-field",
     },
@@ -46,6 +50,7 @@ BROUGHT_BY: Final = {
         "khepera3": "pancakes-pi",
         "mqtt": "pancakes-mqtt",
         "pi": "pancakes-pi",
+        "robotarium": "pancakes-robotarium",
         "ros2": "pancakes-ros2",
         "sensor_field": "pancakes-sensor-field",
     },
@@ -57,10 +62,12 @@ BROUGHT_BY: Final = {
         "intruder": "pancakes-encirclement",
         "pioneer": "pancakes-encirclement",
         "rescue": "pancakes-encirclement",
+        "robotarium": "pancakes-robotarium",
         "ros2": "pancakes-ros2",
         "sensor-field": "pancakes-sensor-field",
     },
-    "pancakes.commands": {"zenoh": "pancakes-zenoh"},
+    "pancakes.commands": {"rosbag": "pancakes-ros2", "zenoh": "pancakes-zenoh"},
+    "pancakes.robot_models": {"gternal": "pancakes-robotarium"},
 }
 """Pancakes' own distributions besides the core, by group and by the part of a name before the dot."""
 
@@ -101,11 +108,12 @@ class Offered(NamedTuple):
 
 
 class _Offer(msgspec.Struct, frozen=True):
-    """One entry point of one distribution; `load` imports it."""
+    """One entry point of one distribution; `load` imports it, and `on_disk` reads the distribution's version again."""
 
     version: Version
     value: str
     load: Callable[[], Any]
+    on_disk: Callable[[], str] = lambda: ""
 
 
 _Offers = dict[str, list[_Offer]]
@@ -180,6 +188,71 @@ class Plugins:
         offers = (offer for several in self._offers("pancakes.tasks").values() for offer in several)
         return dict(sorted({offer.version for offer in offers if offer.version.distribution}))
 
+    def again(self) -> Plugins:
+        """Return the plug-ins that are installed now; those that were registered in code are the same."""
+        return Plugins(self._extra)
+
+    def place(self, group: str, name: str) -> str:
+        """Return the `module:attribute` of a plug-in; empty for one that was registered in code. Imports nothing.
+
+        Raises:
+            PluginError: no distribution offers it, or two do.
+        """
+        return self._find(group, name).value
+
+    def used_of(self, distribution: str) -> list[tuple[str, str]]:
+        """Return the group and name of each plug-in of a distribution that was imported, sorted."""
+        own = self._named_by(distribution)
+        return sorted(key for key in self._loaded if key in own)
+
+    def version_of(self, distribution: str) -> str:
+        """Return the version in which a distribution offers plug-ins; empty: it offers none. Imports nothing."""
+        for group in GROUPS:
+            for offers in self._offers(group).values():
+                for offer in offers:
+                    if offer.version.distribution == distribution:
+                        return offer.version.version
+        return ""
+
+    def replace(self, distribution: str, now: Plugins) -> None:
+        """Take a distribution as another instance has found and loaded it; what that has not loaded stays as it is.
+
+        Args:
+            distribution: its name.
+            now: the other instance.
+        """
+        own = self._named_by(distribution)
+        found: dict[str, _Offers] = {}
+        for group in GROUPS:
+            offers: _Offers = {}
+            for plugins, is_wanted in ((self, False), (now, True)):
+                for name, several in plugins.on_disk(group).items():
+                    kept = [one for one in several if (one.version.distribution == distribution) is is_wanted]
+                    if kept:
+                        offers[name] = [*offers.get(name, ()), *kept]
+            found[group] = offers
+        self._loaded = {**self._loaded, **now.imported()}
+        self._broken = {key: why for key, why in self._broken.items() if key not in own}  # it may work now
+        self._installed = found
+
+    def imported(self) -> Mapping[tuple[str, str], Any]:
+        """Return the plug-ins that were imported, by group and name."""
+        return dict(self._loaded)
+
+    def on_disk(self, group: str) -> _Offers:
+        """Return the entry points of a group without those that were registered in code, by name. Imports nothing."""
+        self._offers(group)  # which reads all of them
+        return dict((self._installed or {}).get(group, {}))
+
+    def _named_by(self, distribution: str) -> set[tuple[str, str]]:
+        """Return the group and name of each plug-in that a distribution offers."""
+        return {
+            (group, name)
+            for group in GROUPS
+            for name, offers in self._offers(group).items()
+            if any(offer.version.distribution == distribution for offer in offers)
+        }
+
     def load_packets(self) -> list[PluginError]:
         """Import all modules that register packet types.
 
@@ -225,12 +298,27 @@ class Plugins:
         return offers[name][0]
 
 
+@cache
+def installed() -> Plugins:
+    """Return the plug-ins of this environment, for code that is not handed any: they are looked for once a process."""
+    return Plugins()
+
+
 def _check_group(group: str) -> None:
     if group not in GROUPS:
         raise ValueError(f"{group!r} is not a group of plug-ins; the groups are {', '.join(GROUPS)}")
 
 
 def _load(group: str, name: str, offer: _Offer) -> Any:
+    version = offer.version
+    if (now := offer.on_disk()) != version.version:
+        # Its modules would be of another version than those that are loaded already.
+        how = f"on disk it is {now} now" if now else "it is not on disk any more"
+        command = f"`pancakes task reload {name}`, or " if now and group == "pancakes.tasks" else ""
+        raise PluginError(
+            f"the {GROUPS[group]} {name!r} of {version.distribution} {version.version} cannot be loaded: {how}:"
+            f" {command}restart the agent"
+        )
     try:
         found = offer.load()
         check_loaded(found)
@@ -320,12 +408,24 @@ def _scan() -> tuple[dict[str, _Offers], list[PluginError]]:
         if version.distribution in seen:
             continue  # found again later in sys.path, such as an editable install in its own directory
         seen.append(version.distribution)
+        on_disk = partial(_version_on_disk, version.distribution, distribution)
         for point in points:
-            offer = _Offer(version, point.place, partial(load, point.place))
+            offer = _Offer(version, point.place, partial(load, point.place), on_disk)
             same = groups[point.group].setdefault(point.name, [])
             if all(other.version != offer.version or other.value != offer.value for other in same):
                 same.append(offer)
     return groups, unreadable
+
+
+def _version_on_disk(name: str, distribution: Distribution) -> str:
+    """Return the version of a distribution as it is on disk now; empty: it was removed."""
+    with suppress(ValueError, OSError):
+        return distribution.header("Version")
+    for other in distributions():  # that of another version is in a folder of its own
+        with suppress(Exception):  # foreign files may contain anything
+            if other.header("Name") == name:
+                return other.header("Version")
+    return ""
 
 
 def _name_of(distribution: Distribution) -> str:

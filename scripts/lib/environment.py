@@ -35,6 +35,9 @@ def main() -> None:
     with open(ROOT / "setup.cfg") as lock:  # two scripts may be started at once
         fcntl.flock(lock, fcntl.LOCK_EX)
         if not is_ours():
+            if Path(sys.prefix).resolve() == VENV:  # made by hand, and active: it would remove the Python that runs it
+                base = Path(sys.base_prefix) / "bin" / f"python{sys.version_info.major}.{sys.version_info.minor}"
+                os.execv(base, [str(base), __file__, *extras])
             say("making an environment in .venv")
             shutil.rmtree(VENV, ignore_errors=True)
             make_venv(VENV)
@@ -132,7 +135,20 @@ def code_of(command: list[str]) -> int:
 def is_ours() -> bool:
     """Return whether the environment was made here by a Python like this one; a copy would refer to its original."""
     made_for = VENV / "made-for"
+    if not made_for.is_file() and is_made_by_hand():
+        made_for.write_text(maker())
     return made_for.is_file() and made_for.read_text() == maker() and os.access(VENV / "bin" / "python", os.X_OK)
+
+
+def is_made_by_hand() -> bool:
+    """Return whether a person made the environment here, with a Python like this one (`python3 -m venv .venv`)."""
+    try:
+        lines = (VENV / "pyvenv.cfg").read_text().splitlines()
+    except OSError:
+        return False
+    facts = {name.strip(): value.strip() for name, _, value in (line.partition("=") for line in lines)}
+    version = f"{sys.version_info.major}.{sys.version_info.minor}."
+    return facts.get("version", "").startswith(version) and facts.get("command", "").endswith(f" {VENV}")
 
 
 def maker() -> str:

@@ -19,7 +19,8 @@ from msgspec.inspect import Field
 from pancakes.config import tables
 from pancakes.devices.driver import Driver
 from pancakes.devices.health import MissRule
-from pancakes.migration import MigrationRule
+from pancakes.filters.filter import Filter
+from pancakes.migration import GuardRule, MigrationRule
 from pancakes.packet import has_fields, known_types
 from pancakes.supervision.restart import DeviceRestartSpec, RestartSpec
 from pancakes.task import Nothing
@@ -39,12 +40,14 @@ SECTIONS = {
     "[record]": tables.RecordConfig,
     "[channel.NAME]": tables.ChannelConfig,
     "[device.NAME]": tables.DeviceConfig,
+    "[filter.NAME]": tables.FilterConfig,
     "[service.NAME]": tables.ServiceConfig,
     "[task.NAME]": tables.TaskConfig,
     "restart = { ... }": RestartSpec,
     "[device.NAME] restart = { ... }": DeviceRestartSpec,
     "[device.NAME] missed = { ... }": MissRule,
     "migrate = { ... }": MigrationRule,
+    "guard = { ... }": GuardRule,
 }
 IN_THE_HEADER = ("name",)
 """The fields that are in the name of a table `[device.NAME]`, and so are not keys in it."""
@@ -92,6 +95,7 @@ def configuration() -> str:
         ("Settings of services", "pancakes.services"),
         ("Settings of tasks", "pancakes.tasks"),
         ("Settings of drivers", "pancakes.drivers"),
+        ("Settings of filters", "pancakes.filters"),
         ("Settings of transports", "pancakes.transports"),
     ):
         parts.append(f"## {title}\n")
@@ -114,6 +118,8 @@ def _facts(cls: type) -> str:
     facts = []
     if issubclass(cls, Driver):
         facts.append(f"Its device type is `{cls.type}`.")
+    if issubclass(cls, Filter):
+        facts.append(f"It is for devices of the type `{cls.type}`.")
     requires = getattr(cls, "requires", ())
     if requires:
         facts.append("It requires " + ", ".join(f"`{name}`" for name in requires) + ".")

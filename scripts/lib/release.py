@@ -2,8 +2,9 @@
 
 Only the files of the commit are built. If the commit has no tag `vVERSION`, `pancakes --version` shows the commit. Each
 wheel is built from its source distribution, so both are complete. They are checked (metadata, versions, licence,
-contents), and installed into an empty environment of each supported Python on this machine; the demos in them are run
-there in virtual time, in an empty folder, without access to this clone.
+contents), and put into a package index on this machine, with all that they require. From there they are installed by
+name into an empty environment of each supported Python, without another index. The demos in them are run there in
+virtual time, in an empty folder, without access to this clone.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ import tempfile
 from collections.abc import Sequence
 from io import BytesIO
 from pathlib import Path
+from urllib.parse import quote
 
 from environment import ROOT, make_venv, run, say
 from release_checks import faults_of, packaged
@@ -37,7 +39,11 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=ROOT / "dist", help="output folder (default: dist/ in the clone)")
     parser.add_argument("--demos", metavar="DEMO", nargs="+", default=[], help="run only these demos (default: all)")
     parser.add_argument("--this-python", action="store_true", help="try only the Python that runs this script")
+    parser.add_argument("--container", action="store_true", help="only build the container of an agent, and run one")
     options = parser.parse_args()
+    if options.container:
+        try_container()
+        return
     out = options.out.absolute()
     with tempfile.TemporaryDirectory() as made:
         place = Path(made)
@@ -120,14 +126,18 @@ def makes_environments(python: str) -> bool:
 
 def try_out(place: Path, version: str, python: str, wheels: Sequence[Path], demos: Sequence[str]) -> None:
     """Install wheels as a user would, and run demos from them; end the script if one of them fails."""
-    say(f"installing them into an empty environment of Python {version}")
+    say(f"installing them from an index of their own into an empty environment of Python {version}")
     venv, folder = place / "venv", place / "empty"
     folder.mkdir(parents=True)
     run([python, "-m", "venv", str(venv)], "no virtual environment could be made")
-    if version == NEXT_PYTHON and not succeeds_to_install(venv, wheels):
+    files = place / "files"
+    if not succeeds_to_download(venv, wheels, files):
+        if version != NEXT_PYTHON:
+            sys.exit(f"what the wheels require could not be downloaded for Python {version}")
         say(f"Python {version} is skipped: the requirements of Pancakes cannot be installed for it yet")
         return
-    install(venv, *map(str, wheels))
+    index = make_index(files, place / "simple")
+    install(venv, *sorted({name_of(wheel) for wheel in wheels}), index=index)
     pancakes = str(venv / "bin" / "pancakes")
     # A user would not have this shell's variables about Python and about running agents.
     environment = {key: value for key, value in os.environ.items() if not key.startswith(("PANCAKES_", "PYTHON"))}
@@ -149,21 +159,78 @@ def try_out(place: Path, version: str, python: str, wheels: Sequence[Path], demo
         output("demo", demo, "--virtual", "--headless")
 
 
-def succeeds_to_install(venv: Path, wheels: Sequence[Path]) -> bool:
-    """Return whether wheels and their requirements can be installed."""
-    command = [*pip(venv), "--only-binary=:all:", *map(str, wheels)]
-    return subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True).returncode == 0
+AGENT = """
+schema = 1
+[agent]
+name = "boxed"
+listen = "local://boxed"
+[device.load]
+driver = "host.load"
+rate_hz = 1
+"""
 
 
-def install(venv: Path, *what: str) -> None:
-    """Install packages into an environment."""
-    run([*pip(venv), *what], "the installation failed")
+def try_container() -> None:
+    """Build the container of an agent, and run an agent in it until it is ready and was stopped."""
+    tool = next((it for it in ("docker", "podman") if can_run_containers(it)), None)
+    if tool is None:
+        sys.exit("this machine has neither docker nor podman that answers: the container is not tried")
+    image = "pancakes-agent"
+    run([tool, "build", "-f", str(ROOT / "scripts" / "Containerfile"), "-t", image, str(ROOT)], "it could not be built")
+    with tempfile.TemporaryDirectory() as made:
+        file = Path(made) / "agent.toml"
+        file.write_text(AGENT)
+        mounted = ["--rm", "--init", "-v", f"{file}:/etc/pancakes/agent.toml:ro"]
+        command = [tool, "run", *mounted, "--entrypoint", "timeout", image]
+        # The program ends by SIGTERM after some seconds, gracefully, so its code is 0.
+        agent = ["--preserve-status", "5", "pancakes-agent", "--config", "/etc/pancakes/agent.toml"]
+        found = subprocess.run([*command, *agent], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    if found.returncode or "boxed/kernel: ready" not in found.stdout:
+        sys.exit(f"{found.stdout}\nthe agent in the container ended with {found.returncode}")
+    say(f"an agent ran in a container of {tool}")
 
 
-def pip(venv: Path) -> list[str]:
-    """Return the beginning of a command that installs into an environment."""
+def can_run_containers(tool: str) -> bool:
+    """Return whether a container tool is there, with what it needs."""
+    try:
+        return subprocess.run([tool, "info"], capture_output=True).returncode == 0
+    except OSError:
+        return False
+
+
+def succeeds_to_download(venv: Path, wheels: Sequence[Path], files: Path) -> bool:
+    """Return whether wheels, and all that they require, could be put into a folder."""
+    options = ["--dest", str(files), "--only-binary=:all:"]
+    command = [*pip(venv, "download"), *options, *map(str, wheels)]
+    return subprocess.run(command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL).returncode == 0
+
+
+def make_index(files: Path, index: Path) -> str:
+    """Make a package index of a folder with wheels, as a simple repository (PEP 503); return its address."""
+    for file in sorted(files.glob("*.whl")):
+        page = index / name_of(file) / "index.html"
+        page.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(file, page.parent)
+        with page.open("a") as lines:
+            lines.write(f'<!DOCTYPE html><a href="{quote(file.name)}">{file.name}</a>\n')
+    return index.as_uri()
+
+
+def name_of(wheel: Path) -> str:
+    """Return the name of a wheel's distribution, as an index spells it."""
+    return re.sub(r"[-_.]+", "-", wheel.name.partition("-")[0]).lower()
+
+
+def install(venv: Path, *what: str, index: str = "") -> None:
+    """Install packages into an environment; `index`: the only index that is asked."""
+    only = ["--isolated", "--index-url", index] if index else []
+    run([*pip(venv), *only, *what], "the installation failed")
+
+
+def pip(venv: Path, verb: str = "install") -> list[str]:
+    """Return the beginning of a command of pip."""
     python = str(venv / "bin" / "python")
-    return [python, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--no-input"]
+    return [python, "-m", "pip", verb, "--quiet", "--disable-pip-version-check", "--no-input"]
 
 
 def quietly(command: list[str], fault: str) -> None:

@@ -232,7 +232,7 @@ def test_plugins_registered_in_code_hide_none_that_are_installed():
     plugins = registered({"test.Chatty": Chatty})
     assert plugins.get("pancakes.tasks", "test.Chatty") is Chatty
     assert "null.motors" in plugins.names("pancakes.drivers")
-    with pytest.raises(TypeError, match="int is no task, service, driver or cost function"):
+    with pytest.raises(TypeError, match="int is no task, service, driver, filter or cost function"):
         registered({"test.int": int})
 
 

@@ -5,6 +5,7 @@ All their files are in the test's own directory, they listen on free ports, and 
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import subprocess
@@ -15,11 +16,42 @@ from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import Any
 
+import psutil
 from harness.programs import AGENT, PANCAKES, Program, pancakes, run
 from keys_in_test import KeysInTest
 
 PATIENCE_S = 20.0
 READY = "/kernel: ready"
+
+
+def is_gone(pid: int) -> bool:
+    """Whether a process has ended, with all its threads; it may wait until its parent has asked how.
+
+    While another thread of it ends, the first one is a zombie already, and the process holds its files and locks.
+    """
+    try:
+        ended = psutil.Process(pid).status() == psutil.STATUS_ZOMBIE
+        return ended and len(os.listdir(f"/proc/{pid}/task")) <= 1
+    except (psutil.NoSuchProcess, FileNotFoundError, ProcessLookupError):  # it may end between these calls
+        return True
+
+
+def wait_until_gone(*pids: int) -> None:
+    until_s = time.monotonic() + PATIENCE_S
+    while not all(map(is_gone, pids)):
+        assert time.monotonic() < until_s
+        time.sleep(0.02)
+
+
+def processes_of_ssh(pid: int, host: str = "") -> list[psutil.Process]:
+    """Return the processes of `ssh` (to a host) that a process has started, directly or not."""
+    found = []
+    for process in psutil.Process(pid).children(recursive=True):
+        with contextlib.suppress(psutil.NoSuchProcess):  # it has just ended
+            words = process.cmdline()
+            if process.name() == "ssh" and (not host or host in words):
+                found.append(process)
+    return found
 
 
 class Running:
@@ -181,8 +213,8 @@ class Rig:
         return running
 
     def launch(self, *arguments: str | Path) -> Running:
-        """Start `pancakes launch`."""
-        return self.run("-m", PANCAKES, "launch", *map(str, arguments), whole=True)
+        """Start `pancakes up`."""
+        return self.run("-m", PANCAKES, "up", *map(str, arguments), whole=True)
 
     def entry(self, pid: int) -> dict[str, Any]:
         """Wait for a process's entry in the runtime directory, and return it."""
@@ -243,3 +275,18 @@ class Rig:
         """End all running processes."""
         for running in self._running:
             running.close()
+
+
+def recovered(rig: Rig, *words: str) -> tuple[int, dict[str, Any], str]:
+    """Run `pancakes task recover`; return its exit code, its one row, and its standard error."""
+    result = rig.pancakes("task", "recover", *words, "--format", "json")
+    rows = json.loads(result.stdout) if result.stdout else [{}]
+    return result.returncode, rows[0], result.stderr
+
+
+def troubles(rig: Rig) -> dict[str, str]:
+    """Return the tasks that `pancakes task recover` lists, with what happened to each."""
+    result = rig.pancakes("task", "recover", "--format", "json")
+    found = {row["task_id"]: row["trouble"] for row in json.loads(result.stdout)}
+    assert result.returncode == (1 if found else 0)
+    return found

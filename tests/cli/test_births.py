@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 from pathlib import Path
 
-from cli.processes import Rig, Running
+from cli.processes import Rig, Running, recovered, troubles
 from cli.test_two_owners import SOURCE, TASK, heard
 
 TASKS = TASK + '[task.Stays]\ntype = "count.Count"\n'
@@ -46,10 +46,13 @@ def test_birthplace_with_an_empty_disk_asks_first(rig: Rig):
 
     a = rig.ready("a", TASKS, agent=peers)
     heard(a, "c (agent")
-    said = heard(a, "not born yet: Count, Stays")
+    said = heard(a, "not started yet: Count, Stays")
     assert "warning" in said and address in said
     found = states(rig)
     assert found["a", "Count"] == found["a", "Stays"] == ("stopped", f"waits → {address}")
+    assert troubles(rig) == {"a/Count": "waits", "a/Stays": "waits"}
+    code, row, _ = recovered(rig, "a/Count")
+    assert code == 1 and row["proposal"]["text"] == f"start {address}, or correct peers in [agent] of a"
     doctor = rig.pancakes("doctor", "--no-machine")
     assert "a/Count: is not born yet: a/Count is new here" in " ".join(doctor.stdout.split()), doctor.stdout
 
@@ -59,6 +62,6 @@ def test_birthplace_with_an_empty_disk_asks_first(rig: Rig):
     heard(b, "task_started task=Count")
     assert states(rig)["a", "Count"] == ("stopped", "disk lost")
     doctor = rig.pancakes("doctor", "--no-machine")
-    assert doctor.returncode == 1 and "b owns a/Count (epoch 1@a)" in " ".join(doctor.stdout.split()), doctor.stdout
+    assert doctor.returncode == 1 and "b owns a/Count (epoch 1@b)" in " ".join(doctor.stdout.split()), doctor.stdout
     assert rig.pancakes("task", "migrate", "b/Count", "--to", "a").returncode == 0
     assert states(rig)["a", "Count"] == ("running", "")

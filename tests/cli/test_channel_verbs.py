@@ -8,10 +8,11 @@ from typing import Any
 import pytest
 from cli.live_output import LiveOutput
 from cli.processes import Rig, Running
+from devices.jpegs import jpeg
 
-from pancakes.devices import Pose
+from pancakes.devices import CameraFrame, Pose
 from pancakes.packet import Packet
-from pancakes.tools.cli.verbs.channel import size_of
+from pancakes.tools.cli.verbs.channel import record_of, size_of, text_of
 
 SOURCE = """
 from pancakes.devices import Battery, Pose, Sonar
@@ -325,3 +326,13 @@ def test_channel_pub_of_control_packet_is_answered(rig: Rig, agent: Running):
     agent.hear("task_stopped task=Walk")
     result = rig.pancakes(*asked)
     assert result.returncode == 1 and "stopped already" in result.stderr
+
+
+def test_the_bytes_of_an_image_are_shown_by_their_beginning():
+    record = record_of(
+        "a", Packet("system", "camera", "a/device/camera", "", 1.0, 1, CameraFrame(jpeg(320, 240, 5000)))
+    )
+    text = text_of(record)
+    assert len(text) < 400
+    assert "characters" in text
+    assert len(record["body"]["jpeg"]) > 5000

@@ -116,15 +116,18 @@ def test_config_show_prints_a_valid_configuration(rig: Rig):
 
 def test_config_schema_is_json_or_a_table():
     schema = json.loads(invoked("config", "schema").stdout)
-    assert schema["required"] == ["schema", "agent"]
+    assert schema["required"] == ["schema"] and schema["then"]["required"] == ["agent"]
     assert "enum" not in schema["properties"]["task"]["additionalProperties"]["properties"]["type"]
     schema = json.loads(invoked("config", "schema", "--plugins").stdout)
-    assert "host.load" in schema["properties"]["device"]["additionalProperties"]["properties"]["driver"]["enum"]
-    assert json.loads(invoked("config", "schema", "--fleet").stdout)["required"] == ["schema", "fleet", "agent"]
+    driver = schema["properties"]["device"]["additionalProperties"]["properties"]["driver"]
+    assert "host.load" in driver["anyOf"][0]["enum"], "a variable may stand there too"
+    assert json.loads(invoked("config", "schema", "--fleet").stdout)["then"]["required"] == ["fleet", "agent"]
 
     lines = [line.split() for line in invoked("config", "schema", "--format", "table").stdout.splitlines()]
     assert next(line for line in lines if line[:2] == ["[clock]", "speed"])[2:4] == ["number", "1.0"]
     assert ["[task.NAME]", "migrate.below", "number"] in [line[:3] for line in lines]
+    assert next(line for line in lines if line[:2] == ["[device.NAME]", "driver"])[2:4] == ["text", "required"]
+    assert ["extends", "text"] in [line[:2] for line in lines]
 
 
 def test_config_check_of_remote_agents_skips_missing_plugins(rig: Rig):

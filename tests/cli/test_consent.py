@@ -1,4 +1,4 @@
-"""A verb that loses data asks on a terminal, and needs --force elsewhere: one rule for all verbs."""
+"""A verb that loses data asks on a terminal, and needs --yes elsewhere: one rule for all verbs."""
 
 import os
 import pty
@@ -62,34 +62,34 @@ def test_dropping_a_state_asks_first(rig: Rig, words: str) -> None:
     rig.install("count", POINTS, STATED)
     rig.ready("a", '[task.Count]\ntype = "count.Count"\n')
     refused = rig.pancakes(*words.split())
-    assert refused.returncode == 1 and "state is lost. Pass --force to do it" in refused.stderr
+    assert refused.returncode == 1 and "state is lost. Pass --yes to do it" in refused.stderr
     assert rig.pancakes(*words.split(), "--dry-run").returncode == 0
     assert {row["incarnation"] for row in rig.listed("task", "list", "--long") if row["task"] == "Count"} == {1}
     code, shown = answered(rig, "n", *words.split())
     assert code == 1 and "state is lost. Do it? [y/N]" in shown
     code, shown = answered(rig, "y", *words.split())
     assert code == 0 and "restarted" in shown
-    assert rig.pancakes(*words.split(), "--force").returncode == 0
+    assert rig.pancakes(*words.split(), "--yes").returncode == 0
     assert rig.pancakes(*words.replace("--drop-state", "--keep-state").split()).returncode == 0
 
 
 def test_revoke_asks_first(rig: Rig) -> None:
     rig.keys.authority("test").enrol_with_key("operator", "bob")
-    words = ("fleet", "revoke", "bob", "laptop stolen")
+    words = ("keys", "revoke", "bob", "laptop stolen")
     refused = rig.pancakes(*words)
-    assert refused.returncode == 1 and "for good. Pass --force" in refused.stderr
+    assert refused.returncode == 1 and "for good. Pass --yes" in refused.stderr
     code, shown = answered(rig, "n", *words)
     assert code == 1 and shown.endswith("nothing was done")
-    assert rig.pancakes("fleet", "can", "bob", "look", "a").returncode == 0
-    assert "no agent has the roster" in rig.pancakes(*words, "--force").stderr
-    assert rig.pancakes("fleet", "can", "bob", "look", "a").returncode == 1
+    assert rig.pancakes("keys", "can", "bob", "look", "a").returncode == 0
+    assert "no agent has the roster" in rig.pancakes(*words, "--yes").stderr
+    assert rig.pancakes("keys", "can", "bob", "look", "a").returncode == 1
 
 
 def test_down_of_several_fleets_asks_first(rig: Rig) -> None:
     agents = [rig.ready("a"), rig.ready("b"), rig.ready("c", fleet="other")]
     what = "this stops c of the fleet other; a, b of the fleet test. To choose one fleet, pass --fleet"
     refused = rig.pancakes("down")
-    said = f"{what}. Pass --force to do it, or --dry-run to check it first. Nothing was done\n"
+    said = f"{what}. Pass --yes to do it, or --dry-run to check it first. Nothing was done\n"
     assert (refused.returncode, refused.stderr) == (1, said)
     code, shown = answered(rig, "n", "down")
     assert code == 1 and f"{what}. Do it? [y/N]" in shown
@@ -106,4 +106,4 @@ def test_down_of_several_fleets_accepts_force(rig: Rig) -> None:
     code, shown = answered(rig, "y", "down")
     assert code == 0 and "ended" in shown and [agent.ended() for agent in agents] == [0, 0]
     agents = [rig.ready("a"), rig.ready("c", fleet="other")]
-    assert rig.pancakes("down", "--force").returncode == 0 and [agent.ended() for agent in agents] == [0, 0]
+    assert rig.pancakes("down", "--yes").returncode == 0 and [agent.ended() for agent in agents] == [0, 0]

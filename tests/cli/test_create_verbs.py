@@ -61,10 +61,9 @@ def test_created_task_survives_a_restart_and_fits_a_file(rig: Rig):
     rig.ready("a")
     asked = rig.pancakes("task", "remove", "a/Count")
     assert (
-        asked.returncode == 1
-        and "this ends a/client/Count for good, and its state is lost. Pass --force" in asked.stderr
+        asked.returncode == 1 and "this ends a/client/Count for good, and its state is lost. Pass --yes" in asked.stderr
     )
-    (row,) = rig.listed("task", "remove", "a/Count", "--force")
+    (row,) = rig.listed("task", "remove", "a/Count", "--yes")
     assert (row["task"], row["done"]) == ("Count", "removed")
     assert [row["task"] for row in rig.listed("task", "list") if row["type"] == "count.Count"] == []
     assert "task.Count" not in rig.pancakes("config", "show", "a").stdout
@@ -81,7 +80,7 @@ def test_task_remove_needs_the_present_agent(rig: Rig):
     assert rig.pancakes("task", "migrate", "a/Count").returncode == 0
     refused = rig.pancakes("task", "remove", "a/Count")
     assert (refused.returncode, refused.stderr) == (1, "a/Count is on b: use b/Count\n")
-    assert rig.pancakes("task", "remove", "b/Count", "--force").returncode == 0
+    assert rig.pancakes("task", "remove", "b/Count", "--yes").returncode == 0
 
 
 def test_config_show_accepts_a_file_or_an_agent(rig: Rig):

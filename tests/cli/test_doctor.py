@@ -6,7 +6,7 @@ import signal
 from collections.abc import Callable, Iterator
 from typing import Any
 
-from cli.processes import Rig, Running
+from cli.processes import READY, Rig, Running
 
 from pancakes import __version__
 from pancakes.mesh.address import Reach, TransportFacts
@@ -41,6 +41,20 @@ def test_doctor_of_a_healthy_machine(rig: Rig):
     lines = rig.pancakes("doctor").stdout.splitlines()
     assert any(line.startswith("ok       loopback: ") for line in lines)
     assert lines[-1].startswith("errors: 0, ")
+
+
+def test_doctor_names_a_changed_file_that_another_extends(rig: Rig):
+    common = rig.directory / "common.toml"
+    common.write_text("schema = 1\n[vars]\nspeed = 1.0\n")
+    config = rig.config("a", '[clock]\nspeed = "${speed}"\n')
+    config.write_text(config.read_text().replace("schema = 1", 'schema = 1\nextends = "common.toml"', 1))
+    agent = rig.agent(config)
+    agent.hear(READY)
+    common.write_text("schema = 1\n[vars]\nspeed = 2.0\n")
+    _, found = diagnosis(rig)
+    assert ("warning", "a", f"runs with an old configuration: {common} was changed or removed") in [
+        (level, about, text.partition(" since")[0]) for level, about, text in found
+    ]
 
 
 RAISES = """
@@ -136,6 +150,16 @@ def agent(name: str = "a", **other: Any) -> dict[str, Any]:
 
 def found_in(*agents: dict[str, Any], reads: tuple[dict[str, Any], ...] = ()) -> list[Finding]:
     return list(check_agents(Facts(agents, describe=lambda name, target: {"reads": reads})))
+
+
+def test_doctor_reports_agents_that_are_not_linked():
+    networks = [{"service": "network", "state": "running", "reason": ""}]
+    found = found_in(agent("a", neighbours=[], services=networks), agent("b", neighbours=["c"]), agent("c"))
+    assert levels(found) == [("warning", "a"), ("ok", "b"), ("ok", "c")]
+    assert "has no link to another agent of its fleet (b, c)" in found[0].text
+    asleep = [{"service": "network", "state": "stopped", "reason": ""}]
+    for lone in ([agent("a", neighbours=[], services=asleep), agent("b")], [agent("a", neighbours=[])]):
+        assert not any("has no link" in it.text for it in found_in(*lone))
 
 
 def test_doctor_reports_an_agent_with_an_old_roster():

@@ -29,3 +29,20 @@ def test_doctor_prints_the_share_of_misses(missed, came, share):
 
 def test_rare_misses_are_not_reported():
     assert levels(found_in(device(missed=3, why="noise"))) == [("ok", "a")]
+
+
+def reserve(**told):
+    return agent(reserve={"seconds": 50.0, "trouble": "", "charging": False, "dock": "dock1/device/dock", **told})
+
+
+def test_doctor_reports_a_dock_that_does_not_charge():
+    (found,) = found_in(reserve(trouble="dock1 says that it charges, and the battery does not rise: check the dock"))
+    assert (found.level, found.about) == ("warning", "a")
+    assert found.text.startswith("dock1 says") and found.advice
+
+
+def test_doctor_reports_a_robot_that_cannot_reach_a_dock_unless_it_is_charged():
+    (found,) = found_in(reserve(seconds=-12.0))
+    assert found.level == "warning" and "12 s less than it needs" in found.text
+    assert levels(found_in(reserve(seconds=-12.0, charging=True))) == [("ok", "a")]
+    assert levels(found_in(reserve())) == [("ok", "a")]

@@ -29,4 +29,4 @@ def test_fence_check_reports_a_refused_task():
         assert (finding.level, finding.about) == ("error", "a/device/wheels")
         why = f"refuses a/Circle, which a has under epoch {owner_has}: it has seen epoch {seen}, brought by z"
         assert finding.text == why
-        assert finding.advice.endswith("pancakes task fence a/device/wheels --set a/Circle")
+        assert finding.advice.endswith("pancakes task recover a/Circle")

@@ -116,7 +116,7 @@ def test_client_accepts_short_addresses(shared: tuple[Rig, Running, Running], mo
 
 def test_client_refuses_malformed_addresses():
     for at, text in {
-        "nonsense": "'tcp://nonsense' has no port",
+        "nonsense:": "'tcp://nonsense:' has no port",
         "127.0.0.1:0": "'127.0.0.1:0' has the port 0, at which no agent can be reached",
         "127.0.0.1:70000": "a port is a number from 0 to 65535",
     }.items():

@@ -49,7 +49,7 @@ def test_guard_check_reports_a_missing_permit():
 def test_guard_check_reports_a_silent_owner():
     ((level, about, text, advice),) = found(guards("b", lease=False), guards("c", lease=False))
     assert (level, about) == ("error", "a/Scan") and "its owner a is silent" in text
-    assert "pancakes task take b/Scan" in advice
+    assert "pancakes task recover b/Scan" in advice
     assert found(guards("b", lease=False, wanted=False)) == []
     assert found(guards("b"), guards("c", lease=False)) == []
 

@@ -144,7 +144,7 @@ def test_task_info_shows_all_of_a_task(shared: tuple[Rig, Running, Running]):
     assert "restarts always, at most 8 times in 60 s, after 0.1 s to 10 s" in lines
     assert any(line.startswith("epoch ") and line.endswith(" of a/Steer") for line in lines)
     assert any(line.startswith("look 2 ") for line in lines)
-    assert any(line.startswith("system pose newest 8 ") for line in lines)
+    assert any(line.startswith("system pose 8 8 ") for line in lines)
     assert "reason RuntimeError: no wheels at plugin_steer.py:" in "\n".join(said(rig, "task", "info", "a/Broken"))
     (found,) = rig.listed("task", "info", "a/device/pose")
     assert (found["service"], found["type"], found["rate_hz"]) == ("device", "null.pose", 5.0), "a device is a task"

@@ -79,7 +79,7 @@ def test_agent_interrupted_at_start_ends_silently(rig: Rig):
 def test_launch_interrupted_at_start_ends_quietly(rig: Rig):
     config = str(rig.config("a"))
     for imports in (0, 100, 200):
-        code, said = interrupted_after(rig, imports, PANCAKES, "launch", config)
+        code, said = interrupted_after(rig, imports, PANCAKES, "up", config)
         assert not any("Traceback" in line or "KeyboardInterrupt" in line for line in said)
         assert code in (BY_SIGNAL, 0), imports
 

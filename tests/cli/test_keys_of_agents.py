@@ -30,7 +30,7 @@ def test_unusable_keys_are_a_configuration_fault(rig: Rig):
         key.chmod(0o600)
         keys.chmod(0o700)
     key.chmod(0o644)
-    result = rig.pancakes("launch", str(config))
+    result = rig.pancakes("up", str(config))
     assert result.returncode == 1, "a launcher does not start it again"
     said = result.stdout + result.stderr
     assert said.count("can be read by others (mode 644): chmod 600 it") == 1 and "given up" in said
@@ -49,7 +49,7 @@ def test_foreign_or_missing_keys_are_refused(rig: Rig):
     assert agent.ended() == 4
     assert (
         f"{config}:6: [agent] listen: 'tcp://127.0.0.1:0' needs keys of the agent a of the fleet test: run pancakes"
-        " fleet join, or use local://a for this machine only" in agent.everything()
+        " keys join, or use local://a for this machine only" in agent.everything()
     )
     checked = rig.agent(config, "--check")
     assert checked.ended() == 0

@@ -1,4 +1,4 @@
-"""`pancakes launch`: fleets of real processes, none of which is ever left behind."""
+"""`pancakes up`: fleets of real processes, none of which is ever left behind."""
 
 import json
 import signal
@@ -11,7 +11,7 @@ from typing import Any
 
 import psutil
 import pytest
-from cli.processes import PATIENCE_S, Rig, Running
+from cli.processes import PATIENCE_S, Rig, Running, is_gone, wait_until_gone
 from harness.programs import Program, pancakes
 
 FLEET = """
@@ -39,19 +39,6 @@ def pid_of(line: str) -> int:
     return int(line.rpartition(" ")[2])
 
 
-def is_gone(pid: int) -> bool:
-    try:
-        return psutil.Process(pid).status() == psutil.STATUS_ZOMBIE
-    except psutil.NoSuchProcess:
-        return True
-
-
-def wait_until_gone(*pids: int) -> None:
-    until_s = time.monotonic() + PATIENCE_S
-    while not all(map(is_gone, pids)):
-        assert time.monotonic() < until_s
-
-
 def up(rig: Rig, *arguments: str | Path) -> tuple[Running, int, int]:
     """Launch a fleet of gate and node, and wait until both are ready."""
     fleet = rig.launch(*arguments)
@@ -65,7 +52,7 @@ def test_launch_starts_in_order_and_stops_in_reverse(rig: Rig, field: Path):
     fleet, gate, node = up(rig, field)
     agents = [(it["agent"], it["fleet"], it["ready"]) for it in rig.listed("agent", "list")]
     assert agents == [("gate", "field", True), ("node", "field", True)]
-    again = rig.pancakes("launch", str(field))
+    again = rig.pancakes("up", str(field))
     assert again.returncode == 1, "a fleet is not launched twice"
     assert again.stderr == (
         f"the agent gate of the fleet field runs already (process {gate})\n"
@@ -199,7 +186,7 @@ def test_launch_can_be_stopped_while_agents_start(rig: Rig, field: Path):
 
 def test_launch_ends_without_a_reader(rig: Rig, field: Path):
     process = Program(
-        pancakes("launch", str(field)),
+        pancakes("up", str(field)),
         stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
@@ -226,11 +213,11 @@ def begun(rig: Rig, agent: str) -> bool:
 
 
 def test_refused_launch_starts_nothing(rig: Rig):
-    bad = rig.pancakes("launch", str(rig.config("a")), str(rig.config("b", "[clock]\nsped = 1\n")))
+    bad = rig.pancakes("up", str(rig.config("a")), str(rig.config("b", "[clock]\nsped = 1\n")))
     assert (bad.returncode, bad.stdout) == (4, "") and "b.toml:9: [clock] sped" in bad.stderr
     with socket.create_server(("127.0.0.1", 0)) as taken:
         listen = f"tcp://127.0.0.1:{taken.getsockname()[1]}"
-        used = rig.pancakes("launch", str(rig.config("a")), str(rig.config("b")), "--set", f"b:agent.listen={listen}")
+        used = rig.pancakes("up", str(rig.config("a")), str(rig.config("b")), "--set", f"b:agent.listen={listen}")
     assert (used.returncode, used.stdout) == (1, "")
     assert used.stderr.startswith(f"b cannot listen at {listen}: address already in use\n")
     assert "launch with --local (no ports)" in used.stderr
@@ -253,7 +240,7 @@ def test_local_launch_uses_no_port(rig: Rig):
 
 
 def test_launch_dry_run_shows_what_would_be_started(rig: Rig, field: Path, request: pytest.FixtureRequest):
-    rows = rig.listed("launch", str(field), "--dry-run", "--set", "node:agent.seed=5")
+    rows = rig.listed("up", str(field), "--dry-run", "--set", "node:agent.seed=5")
     assert [(row["agent"], row["fleet"], row["after"]) for row in rows] == [
         ("gate", "field", []),
         ("node", "field", ["gate"]),
@@ -263,6 +250,6 @@ def test_launch_dry_run_shows_what_would_be_started(rig: Rig, field: Path, reque
 
     demo = request.config.rootpath / "configs" / "encirclement"
     anywhere = "agent.listen=tcp://127.0.0.1:0"  # a demo may be running on this computer
-    rows = rig.listed("launch", str(demo), "--set", anywhere, "--dry-run")
+    rows = rig.listed("up", str(demo), "--set", anywhere, "--dry-run")
     assert [row["agent"] for row in rows] == ["world", "agent1", "agent2", "sensor"]
     assert rows[1]["after"] == ["world"]

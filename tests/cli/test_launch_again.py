@@ -89,9 +89,9 @@ def test_launch_reports_migrated_tasks_unless_fresh(rig: Rig, field: Path):
     said = down(fleet)
     assert [line for line in said if line.startswith("gate | ") and "gate/client/Walk does not start" in line]
 
-    refused = rig.pancakes("launch", str(field), "--fresh")
-    assert refused.returncode == 1 and "is lost. Pass --force to do it" in refused.stderr
-    fleet = rig.launch(field, "--fresh", "--force")
+    refused = rig.pancakes("up", str(field), "--fresh")
+    assert refused.returncode == 1 and "is lost. Pass --yes to do it" in refused.stderr
+    fleet = rig.launch(field, "--fresh", "--yes")
     fleet.hear("gate begins from scratch")
     heard(fleet, "task_started task=Walk")
     assert tasks(rig, "gate") == {"Walk": ("running", "")}
@@ -114,13 +114,17 @@ def test_launch_fresh_is_refused_beside_an_agent_of_the_fleet(rig: Rig, field: P
     other = rig.ready("other", fleet="field")
 
     demo = ("demo", "encirclement", "--live", "--headless", "--set", "agent.fleet=field")
-    for asked in (("launch", str(field), "--fresh"), ("launch", str(field), "--fresh", "--dry-run"), demo):
+    for asked in (("up", str(field), "--fresh"), ("up", str(field), "--fresh", "--dry-run"), demo):
         refused = rig.pancakes(*asked)
         assert refused.returncode == 1, asked
         assert f"other of the fleet field runs outside this launch (process {other.pid})" in refused.stderr
     assert records(rig) == before
     assert rig.pancakes("down", "other").returncode == 0
-    assert rig.pancakes("launch", str(field), "--fresh", "--dry-run").returncode == 0
+    would = rig.listed("up", str(field), "--fresh", "--dry-run")
+    assert {row["agent"]: row["deletes"] != "" for row in would} == {"gate": True, "node": True}
+    assert all(any(path.is_relative_to(row["deletes"]) for path in before) for row in would)
+    assert "deletes" not in rig.listed("up", str(field), "--dry-run")[0]
+    assert records(rig) == before
 
 
 def test_launch_fresh_detects_an_agent_at_a_peer_address(rig: Rig, field: Path):
@@ -132,11 +136,9 @@ def test_launch_fresh_detects_an_agent_at_a_peer_address(rig: Rig, field: Path):
     rig.environment["PANCAKES_RUNTIME_DIR"] = str(here)
     rig.runtime = here
 
-    refused = rig.pancakes("launch", str(field), "--fresh", "--set", f'node:agent.peers=["{address}"]')
+    refused = rig.pancakes("up", str(field), "--fresh", "--set", f'node:agent.peers=["{address}"]')
 
     assert refused.returncode == 1
     assert f"other of the fleet field runs outside this launch ({address})" in refused.stderr
-    another = rig.pancakes(
-        "launch", str(rig.config("lone")), "--fresh", "--dry-run", "--set", f'agent.peers=["{address}"]'
-    )
+    another = rig.pancakes("up", str(rig.config("lone")), "--fresh", "--dry-run", "--set", f'agent.peers=["{address}"]')
     assert another.returncode == 0, "that one is of another fleet"

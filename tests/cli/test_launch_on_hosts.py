@@ -1,15 +1,14 @@
-"""`pancakes launch` with hosts: real SSH servers, and agents that end with their launcher."""
+"""`pancakes up` with hosts: real SSH servers, and agents that end with their launcher."""
 
 from __future__ import annotations
 
 import signal
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
 import psutil
 import pytest
-from cli.processes import INSECURE, PATIENCE_S, Rig, Running
+from cli.processes import INSECURE, Rig, Running, is_gone, processes_of_ssh, wait_until_gone
 from deploy.ssh_hosts import BARE, INSTALLED, SshHosts, free_port, make_key, with_sshd
 
 pytestmark = with_sshd
@@ -70,13 +69,6 @@ def ready(running: Running, *names: str) -> dict[str, int]:
     return pids
 
 
-def wait_until_gone(*pids: int) -> None:
-    until_s = time.monotonic() + PATIENCE_S
-    while any(psutil.pid_exists(pid) and psutil.Process(pid).status() != psutil.STATUS_ZOMBIE for pid in pids):
-        assert time.monotonic() < until_s
-        time.sleep(0.02)
-
-
 def test_launch_runs_a_fleet_on_three_hosts_and_here(rig: Rig, robots: SshHosts):
     path = fleet(rig, {"a": "robot1", "b": "robot2", "c": "robot3", "d": ""}, keys=True)
     running = rig.launch(path)
@@ -106,18 +98,17 @@ def test_launch_ends_with_its_agents_on_hosts(rig: Rig, robots: SshHosts, victim
         running.process.kill()
         wait_until_gone(*pids)
         return
-    children = psutil.Process(running.pid).children(recursive=True)
-    (ssh,) = [it for it in children if "robot2" in it.cmdline() and it.name() == "ssh"]
+    (ssh,) = processes_of_ssh(running.pid, "robot2")
     ssh.kill()
     running.hear("b has ended (the connection to robot2 is lost")
     wait_until_gone(pids[1])
-    assert psutil.pid_exists(pids[0])
+    assert not is_gone(pids[0])
 
 
 def test_launch_restarts_agents_on_hosts(rig: Rig, robots: SshHosts):
     running = rig.launch(fleet(rig, {"a": "robot1", "b": "robot2"}))
     running.hear("b is ready")
-    (ssh,) = [it for it in psutil.Process(running.pid).children() if "robot2" in it.cmdline()]
+    (ssh,) = processes_of_ssh(running.pid, "robot2")
     ssh.kill()
     running.hear("and is started again")
     again = pid_of(running.hear("b runs as process"))
@@ -136,7 +127,7 @@ def test_launch_fresh_clears_agents_on_hosts(rig: Rig, robots: SshHosts):
     (state,) = robots.hosts["robot1"].home.glob(".local/state/pancakes/yard/a")
     (identity,) = state.glob("identity.*")
     before = identity.read_bytes()
-    again = rig.launch(path, "--fresh", "--force")
+    again = rig.launch(path, "--fresh", "--yes")
     ready(again, "a")
     assert identity.read_bytes() != before
 
@@ -162,19 +153,19 @@ def test_down_ends_agents_on_hosts(rig: Rig, robots: SshHosts):
     path = fleet(rig, {"a": "robot1", "b": "robot2", "d": ""})
     running = rig.launch(path)
     pids = ready(running, "a", "b", "d")
-    asked = rig.listed("down", "--fleet-file", str(path), "--dry-run")
+    asked = rig.listed("down", str(path), "--dry-run")
     assert [(row["agent"], row["host"]) for row in asked] == [("d", ""), ("b", "robot2"), ("a", "robot1")]
-    one = rig.pancakes("down", "--fleet-file", str(path), "b")
+    one = rig.pancakes("down", str(path), "b")
     assert (one.returncode, "b" in one.stdout, "a" in one.stdout.split()) == (0, True, False), one.stderr
     running.hear("b has ended (exit code 0)")
 
     psutil.Process(pids["a"]).suspend()
-    ended = rig.pancakes("down", "--fleet-file", str(path), "--timeout", "1")
+    ended = rig.pancakes("down", str(path), "--timeout", "1")
     assert ended.returncode == 3 and "a has not ended on robot1 within 1 s" in ended.stderr
     psutil.Process(pids["a"]).resume()  # it was told by a signal, too
     wait_until_gone(*pids.values())
     assert running.ended() == 0
-    assert "no agent of" in rig.pancakes("down", "--fleet-file", str(path)).stderr
+    assert "no agent of" in rig.pancakes("down", str(path)).stderr
 
 
 def test_tunnel_to_an_agent_ends_with_its_program(rig: Rig, robots: SshHosts):
@@ -232,7 +223,7 @@ def test_launch_reports_an_unusable_host(rig: Rig, hosts: SshHosts, trouble: str
         "running": "the agent b of the fleet yard already runs on robot2 (process",
     }[trouble]
 
-    found = rig.pancakes("launch", str(file))
+    found = rig.pancakes("up", str(file))
 
     assert found.returncode == 1 and expected in found.stderr, found.stderr
     assert "Traceback" not in found.stderr and "runs as process" not in found.stderr

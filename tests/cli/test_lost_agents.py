@@ -9,16 +9,13 @@ from time import monotonic
 from typing import Any
 
 import pytest
-from cli.processes import PATIENCE_S, Rig, Running
+from cli.processes import PATIENCE_S, Rig, Running, recovered, troubles
 from cli.test_two_owners import SOURCE, heard
 
 TASK = """
 [task.Count]
 type = "count.Count"
-guard = 3
-lease_s = 2.0
-checkpoint_s = 0.2
-guardians = ["b", "c"]
+guard = { copies = 3, lease_s = 2.0, checkpoint_s = 0.2, guardians = ["b", "c"] }
 """
 
 
@@ -50,6 +47,11 @@ class Guarded:
         return self.rig.listed("task", "guards")
 
 
+def listed(rig: Rig) -> dict[str, str]:
+    """Return why Count does not run, by agent."""
+    return {row["agent"]: row["rest"] for row in rig.listed("task", "list") if row["task"] == "Count"}
+
+
 def soon(found: Callable[[], Any]) -> Any:
     """Poll until there is an answer; a command has no event to wait for."""
     until_s = monotonic() + PATIENCE_S
@@ -65,8 +67,8 @@ def guarded(rig: Rig) -> Iterator[Guarded]:
     yield made
 
 
-def test_task_revive_starts_from_the_remaining_checkpoint(guarded: Guarded):
-    rig, asked = guarded.rig, ("task", "revive", "d/Count")
+def test_task_recover_starts_from_the_remaining_checkpoint(guarded: Guarded):
+    rig = guarded.rig
     (found,) = rig.listed("task", "info", "a/Count")
     guarding = found["guarding"]
     assert [row["agent"] for row in guarding["guardians"]] == ["a", "b", "c"] and guarding["guard"] == 3
@@ -74,57 +76,65 @@ def test_task_revive_starts_from_the_remaining_checkpoint(guarded: Guarded):
     shown = rig.pancakes("task", "info", "a/Count").stdout
     assert "3 of 3; 3 wanted" in shown and "guardians" in shown and "0@a/" in shown
 
-    runs = rig.pancakes(*asked, "--force")
-    assert runs.returncode == 1 and "Count is running on a: it is not lost" in runs.stderr
-    nothing = rig.pancakes("task", "revive", "d/Nothing")
-    assert nothing.returncode == 1
-    assert "no agent that answers holds a checkpoint of Nothing. To start it from scratch" in nothing.stderr
+    code, row, _ = recovered(rig, "d/Count", "--here", "--yes")
+    assert code == 1 and "because it runs on a: pancakes task migrate a/Count --to d" in row["proposal"]["text"]
     guarded.kill("a", "b")
     heard(guarded.agents["c"], "peer_down peer=a")
     heard(guarded.agents["d"], "peer_down peer=b")
-    meaning = rig.pancakes(*asked)
-    assert meaning.returncode == 1 and "s old, held by c: what it has done since is lost" in meaning.stderr
-    (dry,) = rig.listed(*asked, "--dry-run")
-    assert dry["done"] == "dry run" and dry["from"].startswith("0@a/")
-    (done,) = rig.listed(*asked, "--force")
-    assert (done["agent"], done["task_id"], done["done"]) == ("d", "a/Count", "revived")
+    assert soon(lambda: troubles(rig) == {"a/Count": "guardians gone"}), "once the lease of a is over"
+    code, row, said = recovered(rig, "d/Count", "--here")
+    assert code == 1 and row["proposal"]["act"] == "revive" and "s old, held by c? Lost: what it did since" in said
+    assert recovered(rig, "a/Count")[1]["proposal"]["act"] == "revive", "the lost agent names the task too"
+    assert recovered(rig, "d/Count", "--here", "--dry-run")[1]["done"] == "dry run"
+    code, row, _ = recovered(rig, "d/Count", "--here", "--yes")
+    assert (code, row["task_id"], row["runs_on"]) == (0, "a/Count", "d")
     (state,) = rig.listed("task", "info", "d/Count")
-    assert state["fence"]["epoch"] == 1_000_000 and state["state"] == "running"
-    heard(guarded.back("a"), "goes on on d")
-    rows = [row for row in rig.listed("task", "list") if row["task"] == "Count"]
-    assert {row["agent"]: row["rest"] for row in rows} == {"a": "disputed", "d": ""}
+    assert state["state"] == "running" and troubles(rig) == {}
+    heard(guarded.back("a"), "it is paused here, and runs on d")
+    assert listed(rig) == {"a": "disputed", "d": ""}
+    code, row, _ = recovered(rig, "a/Count", "--yes")
+    assert (code, row["trouble"], row["runs_on"]) == (0, "two owners", "d")
+    assert soon(lambda: troubles(rig) == {}) and listed(rig)["d"] == ""
 
 
-def test_task_take_starts_a_waiting_take_over(rig: Rig):
-    guarded = Guarded(rig, TASK + 'takeover = "ask"\n')
+def test_task_recover_starts_a_waiting_take_over(rig: Rig):
+    guarded = Guarded(rig, TASK.replace(" }", ', takeover = "ask" }'))
     soon(lambda: [row for row in guarded.guards() if row["guardian"] == "c" and row["checkpoint"]])
     guarded.kill("a")
     heard(guarded.agents["d"], "peer_down peer=a")
-    refused = rig.pancakes("task", "revive", "d/Count", "--force")
-    assert refused.returncode == 1 and "more than half of the guardians of a/Count answer" in refused.stderr
     soon(lambda: "waits for you" in "".join(guarded.agents["b"].so_far() + guarded.agents["c"].so_far()))
-    (would,) = rig.listed("task", "take", "b/Count", "--dry-run")
-    assert would["taker"] in "bcd" and would["done"] == "dry run"
-    assert rig.pancakes("task", "take", "b/Count").returncode == 0
+    assert soon(lambda: troubles(rig)) == {"a/Count": "silent owner"}
+    code, row, _ = recovered(rig, "d/Count", "--here", "--yes")
+    assert code == 1 and "have its guardians take over" in row["proposal"]["text"]
+    code, row, _ = recovered(rig, "a/Count", "--dry-run")
+    assert (code, row["proposal"]["act"], row["done"]) == (0, "take", "dry run")
+    code, row, _ = recovered(rig, "a/Count", "--yes")
+    assert code == 0 and row["runs_on"] in "bcd"
     accounts = soon(lambda: rig.listed("task", "migrations"))
     assert accounts[0]["source"] == "a" and accounts[0]["cause"].startswith("taken over from a, ")
+    assert soon(lambda: troubles(rig) == {})
 
 
-def test_task_revive_resumes_without_guardians(guarded: Guarded):
+def test_task_recover_resumes_without_guardians(guarded: Guarded):
     rig = guarded.rig
     guarded.kill("b", "c")
     heard(guarded.agents["a"], "its guardians do not answer")
     assert "none: the task is paused" in rig.pancakes("task", "info", "a/Count").stdout
-    assert [row["rest"] for row in rig.listed("task", "list", "a") if row["task"] == "Count"] == ["stands still"]
-    elsewhere = rig.pancakes("task", "revive", "d/Count", "--force")
-    assert elsewhere.returncode == 1 and "Count is paused on a, with its state" in elsewhere.stderr
-    assert rig.pancakes("task", "revive", "a/Count").returncode == 1, "it only says what that would mean"
-    (done,) = rig.listed("task", "revive", "a/Count", "--force")
-    assert done["done"] == "revived"
+    assert [row["rest"] for row in rig.listed("task", "list", "a") if row["task"] == "Count"] == ["paused"]
+    assert troubles(rig) == {"a/Count": "guardians gone"}
+    code, row, _ = recovered(rig, "d/Count", "--here", "--yes")
+    assert (
+        code == 1
+        and "where it is paused, with its state: pancakes task recover a/Count --here" in row["proposal"]["text"]
+    )
+    code, row, said = recovered(rig, "a/Count")
+    assert code == 1 and "Lost: nothing. Only if b and c are off, or gone for good" in said, "nothing was done"
+    code, row, _ = recovered(rig, "a/Count", "--yes")
+    assert (code, row["done"], row["runs_on"]) == (0, "goes on", "a")
     assert soon(lambda: [row for row in guarded.guards() if row["guardian"] == "a" and row["permit_s"]])
 
 
-def test_task_revive_works_on_copied_disks(guarded: Guarded):
+def test_task_recover_works_on_copied_disks(guarded: Guarded):
     rig = guarded.rig
     guarded.kill("a", "b", "c", "d")
     for name in "abcd":
@@ -134,15 +144,16 @@ def test_task_revive_works_on_copied_disks(guarded: Guarded):
         (rig.directory / "copy").rename(state)
     for name in "dcba":
         guarded.back(name)
-    heard(guarded.agents["a"], "a/Count stands still on a, whose disk is a copy")
+    heard(guarded.agents["a"], "a/Count is paused on a, whose disk is a copy")
     (row,) = (row for row in rig.listed("task", "list") if row["task"] == "Count")
-    assert row["rest"] == "stands still"
+    assert row["rest"] == "paused"
     assert "none: the task is paused, because the disk is a copy" in rig.pancakes("task", "info", "a/Count").stdout
     doctor = rig.pancakes("doctor").stdout
-    assert "the disk of a is a copy" in doctor and "pancakes task revive a/Count" in doctor
-    assert rig.pancakes("task", "revive", "a/Count").returncode == 1
-    (done,) = rig.listed("task", "revive", "a/Count", "--force")
-    assert done["done"] == "revived"
+    assert "the disk of a is a copy" in doctor and "pancakes task recover a/Count" in doctor
+    code, row, _ = recovered(rig, "a/Count")
+    assert (code, row["trouble"]) == (1, "copied disk")
+    code, row, _ = recovered(rig, "a/Count", "--yes")
+    assert (code, row["runs_on"]) == (0, "a")
     assert soon(lambda: [row for row in guarded.guards() if row["guardian"] == "a" and row["permit_s"]])
     now = [row["text"] for row in rig.listed("doctor") if not row["text"].startswith("warned ")]
     assert not [text for text in now if "is a copy" in text]

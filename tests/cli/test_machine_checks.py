@@ -156,7 +156,7 @@ def test_machine_check_of_a_lost_record_asks_for_a_decision(tmp_path: Path):
 
     _, finding = check_state_dirs(tmp_path / "state")
 
-    assert finding.level == "warning" and "pancakes task forget" in finding.advice
+    assert finding.level == "warning" and "pancakes task recover" in finding.advice
     journal.write([JournalEntry("record", "a/Scan", b"")])
     _, finding = check_state_dirs(tmp_path / "state")
     assert finding.advice == "remove them: none is needed any more"

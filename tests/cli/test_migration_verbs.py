@@ -1,4 +1,4 @@
-"""`pancakes task migrate|migrations|adopt`, on running agents."""
+"""`pancakes task migrate|migrations`, on running agents."""
 
 import json
 import signal
@@ -7,10 +7,6 @@ from typing import Any
 
 import pytest
 from cli.processes import Rig, Running
-from msgspec.structs import replace
-
-from pancakes.durable.record import Epoch, Phase, Record
-from pancakes.journal import FileJournal, JournalEntry
 
 SOURCE = """
 import time
@@ -129,39 +125,3 @@ def test_unanswered_task_migrate_exits_with_3(
     freeze(pair[0])
     code, ledgers, said = command(rig, "task", "migrate", "a/Count", "--timeout", "0.5")
     assert (code, ledgers) == (3, []) and said.startswith("a cannot be reached: ")
-
-
-# In doubt --------------------------------------------------------------------------------------------------------
-
-
-def give_away(rig: Rig, agent: str, peer: str) -> None:
-    """Write the records into the journal of a stopped agent that a cut just after COMMITTED leaves there."""
-    journal = FileJournal(rig.directory / "state" / "pancakes" / "test" / agent)
-    entry = journal.read("record", f"{agent}/Count")
-    assert entry is not None
-    offer = Epoch(1, agent)
-    record = replace(Record.decode(entry.data), phase=Phase.COMMITTED, seen=offer, offer=offer, peer=peer)
-    journal.write([JournalEntry("record", entry.key, record.encode())])
-    journal.close()
-
-
-def test_task_adopt_runs_a_task_in_doubt_with_force(rig: Rig):
-    rig.install("count", ENTRY_POINTS, SOURCE)
-    agent = rig.ready("a", COUNT)
-    code, rows, said = command(rig, "task", "adopt", "a/Count", "--force")
-    assert (code, rows) == (1, []) and "nothing to adopt" in said
-    agent.signalled(signal.SIGTERM)
-    give_away(rig, "a", peer="b")
-    agent = rig.ready("a", COUNT)
-
-    code, rows, said = command(rig, "task", "adopt", "a/Count")
-    assert (code, rows, running(rig)) == (1, [], []) and "a/Count was given to b (offer 1@a)" in said
-    row = {"agent": "a", "task_id": "a/Count", "instead_of": "b"}
-    code, (tried,), _ = command(rig, "task", "adopt", "a/Count", "--force", "--dry-run")
-    assert (code, {**tried, "number": 0}) == (0, {**row, "done": "dry run", "number": 0})
-    assert running(rig) == []
-
-    code, (adopted,), _ = command(rig, "task", "adopt", "a/Count", "--force")
-    assert (code, adopted) == (0, {**row, "done": "adopted", "number": adopted["number"]})
-    assert running(rig) == ["a"]
-    agent.hear("counted n=")

@@ -39,7 +39,7 @@ def test_agent_with_a_state_directory_runs_without_home(nameless: Rig, agent: Ru
     assert " a " in pancakes(nameless, "agent", "list").stdout
     found = pancakes(nameless, "doctor")
     assert f"the user {UID} has no home folder. Set HOME or XDG_STATE_HOME" in found.stdout
-    listed = pancakes(nameless, "fleet", "list")
+    listed = pancakes(nameless, "keys", "list")
     assert listed.returncode == 1 and "Set HOME or XDG_CONFIG_HOME" in listed.stderr
     assert pancakes(nameless, "task", "list").returncode == 0
     assert pancakes(nameless, "log", "a").returncode == 0
@@ -53,11 +53,11 @@ def test_unknown_folders_are_reported_with_their_variables(nameless: Rig):
     assert f"nothing says where the state of b belongs: the user {UID} has no home folder." in told
     assert "Set HOME or XDG_STATE_HOME, or state_dir in [agent]" in told and "Traceback" not in told
 
-    done = pancakes(nameless, "fleet", "init", "garage", "--me", "eve", "--no-password")
+    done = pancakes(nameless, "keys", "init", "garage", "--me", "eve", "--no-password")
     assert done.returncode == 1
     assert "nothing says where the fleets of this person belong" in done.stderr
     assert "Set HOME or XDG_CONFIG_HOME" in done.stderr
     assert pancakes(nameless, "config", "check", str(path)).returncode == 0
 
     named = str(nameless.directory / "config")
-    assert pancakes(nameless, "fleet", "init", "garage", "--me", "eve", "--no-password", XDG_CONFIG_HOME=named)
+    assert pancakes(nameless, "keys", "init", "garage", "--me", "eve", "--no-password", XDG_CONFIG_HOME=named)

@@ -24,7 +24,7 @@ def test_plugin_list_shows_distributions():
     rows = json.loads(some.stdout)
     assert {row["group"] for row in rows} == {"services", "transports"}
     names = [row["name"] for row in rows if row["distribution"] == "pancakes-agents"]
-    assert names == ["client", "device", "log", "metrics", "network", "local", "tcp"]
+    assert names == ["client", "device", "log", "metrics", "network", "traces", "local", "tcp"]
 
 
 def test_plugin_list_shows_broken_plugins_with_reasons(rig: Rig):

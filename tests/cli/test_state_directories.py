@@ -6,7 +6,7 @@ import signal
 from pathlib import Path
 
 import pytest
-from cli.processes import Rig
+from cli.processes import Rig, recovered, troubles
 
 COUNT = '[task.Count]\ntype = "count.Count"\ndurability = "each"\n'
 ENTRY_POINTS = "[pancakes.tasks]\ncount.Count = plugin_count:Count\n"
@@ -104,7 +104,7 @@ def test_agent_with_a_full_disk_answers_and_recovers(rig: Rig, state: Path):
     agent.signalled(signal.SIGTERM)
 
 
-def test_task_forget_and_adopt_decide_about_a_damaged_record(rig: Rig, state: Path):
+def test_task_recover_decides_about_a_damaged_record(rig: Rig, state: Path):
     rig.ready("a", COUNT).signalled(signal.SIGTERM)
     record = state / "record.a%2FCount.rec"
     record.write_bytes(record.read_bytes()[:-1] + b"?")
@@ -113,15 +113,17 @@ def test_task_forget_and_adopt_decide_about_a_damaged_record(rig: Rig, state: Pa
     agent.hear("a/Count is not started: it may run elsewhere")
     rig.entry(agent.pid)
     asked = rig.pancakes("task", "start", "a/Count")
-    assert asked.returncode == 1 and "`pancakes task forget a/Count` leaves it there" in asked.stderr
+    assert asked.returncode == 1 and "`pancakes task recover a/Count --not-here` leaves it there" in asked.stderr
+    assert troubles(rig) == {"a/Count": "damaged record"}
 
-    assert "would" not in rig.pancakes("task", "forget", "a/Count", "--dry-run").stderr
-    asked = rig.pancakes("task", "forget", "a/Count")
-    assert asked.returncode == 1 and "a/Count would not start any more" in asked.stderr
-    forgotten = rig.pancakes("task", "forget", "a/Count", "--force")
-    assert forgotten.returncode == 0 and "forgotten" in forgotten.stdout
-    assert rig.pancakes("task", "adopt", "a/Count").returncode == 1
-    adopted = rig.pancakes("task", "adopt", "a/Count", "--force")
-    assert adopted.returncode == 0 and "adopted" in adopted.stdout
+    assert recovered(rig, "a/Count", "--not-here", "--dry-run")[1]["done"] == "dry run"
+    code, _, said = recovered(rig, "a/Count", "--not-here")
+    assert code == 1 and "if it runs nowhere else, it is gone" in said
+    code, row, _ = recovered(rig, "a/Count", "--not-here", "--yes")
+    assert (code, row["done"]) == (0, "left")
+    assert troubles(rig) == {} and recovered(rig, "a/Count")[0] == 0, "a person has decided"
+    assert recovered(rig, "a/Count", "--here")[0] == 1
+    code, row, _ = recovered(rig, "a/Count", "--here", "--yes")
+    assert (code, row["runs_on"]) == (0, "a")
     agent.signalled(signal.SIGTERM)
     assert record.exists()

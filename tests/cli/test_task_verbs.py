@@ -91,7 +91,7 @@ def test_task_restart_keeps_the_state_or_drops_it(shared: tuple[Rig, Running]):
     agent.hear("task_started task=Two")
     assert counted(agent.hear("Two counted")) > 1
 
-    assert done(rig, "task", "restart", "a/Two", "--drop-state", "--force")["done"] == "restarted"
+    assert done(rig, "task", "restart", "a/Two", "--drop-state", "--yes")["done"] == "restarted"
     agent.hear("task_started task=Two")
     assert counted(agent.hear("Two counted")) == 1
 
@@ -152,7 +152,7 @@ def test_service_restart_keeps_the_state_of_its_tasks_or_drops_it(rig: Rig):
     assert counted(agent.hear("One counted")) > 10
     assert listed(rig, "One") == ("running", 40.0)
 
-    assert done(rig, "service", "restart", "a/client", "--drop-state", "--force")["done"] == "restarted"
+    assert done(rig, "service", "restart", "a/client", "--drop-state", "--yes")["done"] == "restarted"
     agent.hear("service_started service=client")
     assert counted(agent.hear("One counted")) < 10
     assert listed(rig, "One") == ("running", 20.0)

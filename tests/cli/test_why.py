@@ -6,6 +6,7 @@ import pytest
 from cli.invoked import invoked
 
 from pancakes.devices import Pose, Twist
+from pancakes.events import Event
 from pancakes.packet import Fence, Packet
 from pancakes.recording.mcap_writer import RecordingWriter
 from pancakes.recording.records import RecordedPacket
@@ -89,7 +90,7 @@ def test_why_shows_kinds_of_chains_with_latencies(why, found):
 
 
 def test_why_at_a_time_shows_the_command_in_force(found):
-    (it,) = found("--at", "720ms")
+    (it,) = found("--time", "720ms")
     assert (it["mission_s"], it["agent"], it["type"], it["source"], it["seq"]) == (
         0.712, "a", "motors", "a/client/Scan", 7,
     )  # fmt: skip
@@ -102,8 +103,8 @@ def test_why_at_a_time_shows_the_command_in_force(found):
     assert it["chain"][0]["body"] == {"x_m": 1.0, "y_m": 2.0, "theta_rad": 0.0}
     assert it["alike"]["p90_ms"] == 24.0
 
-    assert [(it["type"], it["seq"]) for it in found("--at", "1min")] == [("gripper", 1), ("motors", 20)]
-    assert [it["type"] for it in found("--at", "1min", "--type", "motors")] == ["motors"]
+    assert [(it["type"], it["seq"]) for it in found("--time", "1min")] == [("gripper", 1), ("motors", 20)]
+    assert [it["type"] for it in found("--time", "1min", "--type", "motors")] == ["motors"]
     assert [it["latency_ms"] for it in found("--seq", "3")] == [8.0]
     assert [it["seq"] for it in found("--slowest", "3")] == [20, 19, 18]
 
@@ -119,6 +120,35 @@ def test_why_shows_a_chain_as_a_table(why):
     assert "it answers no recorded packet" in why("--type", "gripper", "--seq", "1").stdout
 
 
+def test_why_says_what_a_filter_did(tmp_path):
+    """At the third command it begins to change commands, at the sixth it lets them pass."""
+    writer = RecordingWriter(tmp_path / "a.mcap", {"agent": "a", "clock": "time of day", "speed": "1.0"})
+    for n in range(1, 9):
+        command = Packet("ctrl", "motors", "a/client/Scan", "", n / 10, n, Twist(0.1, 0.2))
+        writer.write(RecordedPacket(100 * n * MS, "a", command))
+        if doing := {3: "changes", 6: "passes"}.get(n):
+            reason = "keeps clear of b" if doing == "changes" else ""
+            fields = {"device": "motors", "filter": "apart", "doing": doing, "reason": reason, "by": "a/client/Scan"}
+            event = Packet(
+                "log",
+                "event",
+                "a/device/motors",
+                "",
+                n / 10,
+                n,
+                Event("command_filtered", fields),
+                ("a/client/Scan", n),
+            )
+            writer.write(RecordedPacket((100 * n + 1) * MS, "a", event))
+    writer.close()
+    for number, does in ((2, False), (3, True), (5, True), (6, False)):
+        (row,) = json.loads(invoked("why", str(tmp_path), "--seq", str(number), "--format", "json").output)
+        does_what = {"device": "motors", "filter": "apart", "doing": "changes", "reason": "keeps clear of b"}
+        assert row["filtered"] == ([does_what] if does else [])
+    said = invoked("why", str(tmp_path), "--seq", "4").output
+    assert "the filter apart of motors changes commands at this moment: keeps clear of b" in said
+
+
 def test_why_lists_commands(why, found):
     assert [row["seq"] for row in found("--list", "--agent", "a", "--type", "motors")] == list(range(1, 21))
     lines = why("--list").stdout.splitlines()
@@ -130,11 +160,12 @@ def test_why_without_matching_commands_is_an_error(why, tmp_path):
     for options, code, sentence in (
         (("--agent", "b"), 1, "has no such command. It has commands to a gripper, a motors of a/Scan"),
         (("--task", "a/Other"), 1, "has no such command"),
-        (("--at", "10ms"), 1, "the recording has no such command before 0.01 s of mission time"),
+        (("--time", "0s"), 1, "the recording has no such command before 0 s of mission time"),
+        (("--time", "10ms"), 1, "the recording has no such command before 0.01 s of mission time"),
         (("--seq", "99"), 1, "the recording has no such command with the number 99"),
         (("--type", "gripper", "--slowest", "1"), 1, "no such command that answers a recorded packet"),
-        (("--at", "1s", "--list"), 2, "use only one of them"),
-        (("--at", "soon"), 2, "is not a time"),
+        (("--time", "1s", "--list"), 2, "use only one of them"),
+        (("--time", "soon"), 2, "is not a time"),
     ):
         assert sentence in " ".join(why(*options, code=code).output.split())
     result = invoked("why", str(tmp_path / "none.mcap"))
@@ -154,5 +185,5 @@ def test_why_uses_mission_time_across_restarts(recording, found):
     again = Packet("ctrl", "motors", "a/client/Scan", "", 0.25, 1, Twist(0.0, 0.0))
     writer.write(RecordedPacket(5000 * MS, "a", again))
     writer.close()
-    assert [(it["mission_s"], it["seq"]) for it in found("--at", "3s", "--type", "motors")] == [(2.025, 20)]
-    assert [(it["mission_s"], it["seq"]) for it in found("--at", "6s", "--type", "motors")] == [(5.0, 1)]
+    assert [(it["mission_s"], it["seq"]) for it in found("--time", "3s", "--type", "motors")] == [(2.025, 20)]
+    assert [(it["mission_s"], it["seq"]) for it in found("--time", "6s", "--type", "motors")] == [(5.0, 1)]

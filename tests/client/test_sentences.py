@@ -23,6 +23,6 @@ def test_a_move_says_whether_only_one_agent_was_asked(kind: str, to: str, senten
 
 def test_what_becomes_of_a_guarded_task_is_said():
     lost = {"agent": "a", "kind": "permit_lost", "task": "Walk"}
-    assert sentence_of(lost) == "Walk stands still on a: its guardians do not answer"
+    assert sentence_of(lost) == "Walk is paused on a: its guardians do not answer"
     taken = {"agent": "c", "kind": "taken_over", "task": "Walk", "by": "b", "source_agent": "a"}
     assert sentence_of(taken) == "b took Walk over from a, which is silent"

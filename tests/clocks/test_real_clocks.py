@@ -79,7 +79,8 @@ class ClockRig:
         environment: Mapping[str, str] | None = None,
     ) -> str:
         """Starts an agent, and returns its address once it is ready."""
-        rest = INSECURE + (f'\n[task.{task}]\ntype = "clocks.{task}"\n' if task else "")
+        # A busy machine may take more than the second that an agent waits for its fleet by default.
+        rest = INSECURE + "\n[clock]\njoin_s = 30\n" + (f'\n[task.{task}]\ntype = "clocks.{task}"\n' if task else "")
         agent = f"peers = {json.dumps([*peers])}\nbirth_wait_s = 0\n"
         config = self.rig.config(name, rest, agent=agent)
         command = [*before, sys.executable, "-m", "pancakes.tools.cli.agent_command", "--config", str(config)]

@@ -30,7 +30,7 @@ hold = true
 [device.motors]
 driver = "sim.differential_drive"
 settings = { wheel_base_m = 0.0885 }
-hold_after_s = 0.25
+hold_after_mission_s = 0.25
 
 [device.pose]
 driver = "network.pose"
@@ -90,8 +90,8 @@ def test_everything_that_a_file_can_say():
 
     motors, pose = config.devices["motors"], config.devices["pose"]
     assert (motors.name, motors.driver, motors.rate_hz) == ("motors", "sim.differential_drive", None)
-    assert (motors.settings, motors.hold_after_s) == ({"wheel_base_m": 0.0885}, 0.25)
-    assert (pose.rate_hz, pose.hold_after_s) == (10.0, 0.5)
+    assert (motors.settings, motors.hold_after_mission_s) == ({"wheel_base_m": 0.0885}, 0.25)
+    assert (pose.rate_hz, pose.hold_after_mission_s) == (10.0, 0.5)
 
     assert config.services["network"].settings == {"discovery_hz": 1}
     assert config.services["vision"].type == "example.Vision"
@@ -124,7 +124,9 @@ def test_it_can_say_where_a_key_stands():
 
     assert config.places.where("device", "pose") == f"agent1.toml:{line}"
     assert config.places.where("device", "pose", "rate_hz") == f"agent1.toml:{line + 2}"
-    assert config.places.where("device", "pose", "hold_after_s") == f"agent1.toml:{line}", "not written: its table"
+    assert config.places.where("device", "pose", "hold_after_mission_s") == f"agent1.toml:{line}", (
+        "not written: its table"
+    )
     assert config.places.where("task", "Other") == "agent1.toml", "no such table: the file"
 
 
@@ -165,10 +167,10 @@ def test_a_directory_is_no_file(tmp_path: Path):
 
 
 def test_a_file_that_may_not_be_read_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    def refuse(path: Path) -> bytes:
+    def refuse(path: Path, mode: str) -> None:
         raise PermissionError(13, "Permission denied")
 
-    monkeypatch.setattr(Path, "read_bytes", refuse)  # the rights of a file do not stop root, who may run this
+    monkeypatch.setattr(Path, "open", refuse)  # the rights of a file do not stop root, who may run this
     with pytest.raises(ConfigError, match="agent1.toml: file: cannot be read: permission denied"):
         load(tmp_path / "agent1.toml")
 

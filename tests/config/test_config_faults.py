@@ -44,6 +44,22 @@ restart = { policy = "permanent", at_most = "three" }
     ]
 
 
+def test_key_of_an_inner_table_is_named_with_its_table():
+    head = 'schema = 1\n[agent]\nname = "agent1"\n[task.Walk]\ntype = "test.Walk"\n'
+    assert faults(head + 'restart = "always"\n') == [
+        'a.toml:6: [task.Walk] restart: expected a table, got a string: write restart = { policy = "always" }'
+    ]
+    assert faults(head + "guard = 3\nlease_s = 2.0\nat_most = 3\nagain_s = 5.0\n") == [
+        "a.toml:6: [task.Walk] guard: expected a table or nothing, got an integer: write guard = { copies = 3 }",
+        ("a.toml:7: [task.Walk] lease_s: unknown key; it belongs in the table `guard`, did you mean 'guard.lease_s'?"),
+        (
+            "a.toml:8: [task.Walk] at_most: unknown key; it belongs in the table `restart`,"
+            " did you mean 'restart.at_most'?"
+        ),
+        "a.toml:9: [task.Walk] again_s: unknown key; the task's own settings belong in its key `settings`",
+    ]
+
+
 def test_an_empty_file_lacks_the_schema_and_the_name():
     assert faults("") == [
         "a.toml: schema: is missing: write schema = 1",
@@ -243,9 +259,14 @@ class TestAddresses:
         assert parse(text, "a.toml").agent.peers == ("tcp://127.0.0.1:7401", "tcp://127.0.0.1:7402")
 
     def test_a_bad_address_to_listen_at(self):
-        assert faults(HEAD + 'listen = "tcp://127.0.0.1"\n') == [
-            "a.toml:4: [agent] listen: 'tcp://127.0.0.1' has no port: write it as tcp://host:port"
+        assert faults(HEAD + 'listen = "tcp://127.0.0.1:"\n') == [
+            "a.toml:4: [agent] listen: 'tcp://127.0.0.1:' has no port: write it as tcp://host:port"
         ]
+
+    def test_address_without_a_port_has_the_default_one(self):
+        config = parse(HEAD + 'listen = "tcp://0.0.0.0"\npeers = ["tcp://robot2", "tcp://[::1]"]\n', "a.toml")
+        assert config.agent.listen == ("tcp://0.0.0.0:7401",)
+        assert config.agent.peers == ("tcp://robot2:7401", "tcp://[::1]:7401")
 
 
 class TestMigrationRules:

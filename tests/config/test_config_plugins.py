@@ -8,6 +8,7 @@ import pytest
 from msgspec import Meta
 
 from pancakes.config import load, parse
+from pancakes.config.checks import doubts_of
 from pancakes.devices import Battery, Pose
 from pancakes.devices.driver import Actuator, Sensor
 from pancakes.durable.client_service import ClientService
@@ -292,18 +293,28 @@ class TestMigrationRules:
         assert self.rule('{ when = "battery", below = 7, field = "voltage" }') == [
             (
                 "a.toml:6: [task.Watch] migrate.field: a packet of the type 'battery' has no field 'voltage',"
-                " but voltage_v, level, did you mean 'voltage_v'?"
+                " but voltage_v, level, charging, did you mean 'voltage_v'?"
             )
         ]
         (fault,) = self.rule('{ when = "pose", below = 0.5 }')
         assert "a packet of the type 'pose' has no field 'level', but x_m, y_m, theta_rad" in fault
 
+    def test_a_rule_on_the_reserve_has_a_bound_in_seconds(self):
+        assert self.rule('{ when = "reserve", below = 30, cost = "reserve" }') == []
+
+    def test_a_rule_on_a_reserve_that_nothing_tells_is_doubted(self):
+        text = '[task.Watch]\ntype = "test.Watch"\nmigrate = { when = "reserve", below = 30 }\n'
+        (doubt,) = doubts_of(parse(HEAD + text, "a.toml"))
+        assert "no task of the type 'energy.reserve' is here" in str(doubt) and str(doubt).startswith("a.toml:6: ")
+        told = '[task.Reserve]\ntype = "energy.reserve"\nsettings = { level_per_m = 0.01 }\n'
+        assert doubts_of(parse(HEAD + text + told, "a.toml")) == []
+
 
 class TestDevices:
     def test_only_an_actuator_has_a_hold(self):
-        text = DEVICES + "hold_after_s = 1\n"
+        text = DEVICES + "hold_after_mission_s = 1\n"
         assert faults(text) == [
-            "a.toml:8: [device.compass] hold_after_s: is for actuators, and 'test.compass' is not one",
+            "a.toml:8: [device.compass] hold_after_mission_s: is for actuators, and 'test.compass' is not one",
         ]
 
     def test_a_plugin_of_the_wrong_kind_is_its_authors_mistake(self):

@@ -6,7 +6,7 @@ from pancakes.tools.demo import Comparison
 from pancakes.util.plugins import Plugins
 
 ROOT = Path(__file__).parents[2]
-DEMOS = ("encirclement", "energy", "intruder", "pioneer", "rescue", "sensor-field")
+DEMOS = ("encirclement", "energy", "intruder", "pioneer", "rescue", "robotarium", "sensor-field")
 
 
 def test_demos_use_the_one_copy_of_their_configurations():

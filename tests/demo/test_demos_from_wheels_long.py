@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[2]
-DEMOS = ("encirclement", "energy", "intruder", "pioneer", "rescue", "sensor-field")
+DEMOS = ("encirclement", "energy", "intruder", "pioneer", "rescue", "robotarium", "sensor-field")
 LIVE_ONLY = "ros2"
 NOT_SOURCES = shutil.ignore_patterns("*.egg-info", "build", "__pycache__")
 Pancakes = Callable[..., "subprocess.CompletedProcess[str]"]
@@ -29,7 +29,7 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     site = tmp_path_factory.mktemp("site")
     pip = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--no-build-isolation", "--no-index"]
     plugins = [str(path.parent) for path in sorted(clone.glob("plugins/*/setup.cfg"))]
-    assert len(plugins) == 6
+    assert len(plugins) == 7
     subprocess.run([*pip, "--target", str(site), str(clone), *plugins], check=True, cwd=clone)
     shutil.rmtree(clone)
     return site
@@ -53,7 +53,7 @@ def test_wheels_bring_demos_that_run(pancakes: Pancakes, tmp_path: Path) -> None
     """One demo of each distribution runs in an empty folder, and all are listed."""
     listed = pancakes("demo", "--list")
     assert {*DEMOS, LIVE_ONLY} <= {line.split()[0] for line in listed.stdout.splitlines()}, listed.stderr
-    for demo in ("rescue", "sensor-field"):
+    for demo in ("rescue", "robotarium", "sensor-field"):
         out = tmp_path / demo
         result = pancakes("demo", demo, "--virtual", "--duration", "2", "--out", str(out))
         assert "verdict: " in result.stdout, result.stderr

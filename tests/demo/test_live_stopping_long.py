@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import json
 import signal
 import time
 from pathlib import Path
 
 import pytest
 from demo.flights import read_flight
-from demo.live_demo import PATIENCE_S, LiveDemo
+from demo.live_demo import AGENTS, PATIENCE_S, LiveDemo
+from harness.programs import pancakes, run
 
 UNDER_WAY = "agent1: new centre"
 LIMIT_S = 2.0
@@ -32,6 +34,17 @@ def test_live_demo_stops_at_sigterm_while_agents_start(tmp_path: Path) -> None:
         demo.process.send_signal(signal.SIGTERM)
         assert demo.ends() == 130
         assert demo.left_after(0.0) == []
+
+
+def test_down_ends_a_live_demo(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The launcher ends the other agents as soon as one has ended: whoever ends them, all are reported as ended."""
+    monkeypatch.setenv("PANCAKES_RUNTIME_DIR", str(tmp_path / "runtime"))
+    with LiveDemo(tmp_path / "out") as demo:
+        demo.wait_for(UNDER_WAY)
+        down = run(pancakes("down", "--format", "json"), timeout_s=PATIENCE_S)
+        assert down.returncode == 0, down.stderr
+        assert {it["agent"]: it["done"] for it in json.loads(down.stdout)} == dict.fromkeys(AGENTS, "ended")
+        demo.ends()
 
 
 def test_live_agents_end_with_a_killed_launcher(tmp_path: Path) -> None:

@@ -35,7 +35,7 @@ def test_rescue_page_shows_the_returned_agent(tmp_path: Path) -> None:
 
 
 def test_rescue_waits_if_a_person_must_be_asked(tmp_path: Path) -> None:
-    sets = ['agent1:task.ScanTarget.takeover="ask"']
+    sets = ['agent1:task.ScanTarget.guard.takeover="ask"']
     flight = fly("rescue", 2, tmp_path, faults=False, sets=sets, duration_s=LENGTH_S, loss=EARLY)
     assert flight.summary["verdict"] == "FAIL"
     assert not flight.told("task_started", "agent2", task=SCAN) and not flight.driven("agent2", SCAN)

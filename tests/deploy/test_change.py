@@ -112,3 +112,11 @@ def test_deployed_configuration_has_the_fleet_files_changes(member: Member):
         "device": {"load": {"driver": "host.load", "rate_hz": 3}},
     }
     assert effective_config(member.path, ()) == member.path.read_text()
+
+
+def test_deployed_configuration_has_what_its_file_extends(member: Member):
+    (member.path.parent / "common.toml").write_text('schema = 1\n[vars]\nname = "yard"\n[agent]\nfleet = "${name}"\n')
+    member.path.write_text('schema = 1\nextends = "common.toml"\n' + member.path.read_text().partition("\n")[2])
+    found = tomllib.loads(effective_config(member.path, ()))
+    assert found["agent"] == {"name": "a", "fleet": "${name}"} and found["vars"] == {"name": "yard"}
+    assert "extends" not in found and found["device"]["load"]["driver"] == "host.load"

@@ -13,7 +13,7 @@ from typing import Any
 
 import psutil
 import pytest
-from cli.processes import INSECURE, Rig
+from cli.processes import INSECURE, Rig, processes_of_ssh
 from deploy.deploying import deploy
 from deploy.plugin_wheels import plugin_wheel
 from deploy.ssh_hosts import BARE, SshHost, SshHosts, free_port, with_sshd
@@ -76,8 +76,7 @@ def disturbed(rig: Rig, trouble: str, *arguments: str | Path) -> tuple[int, str]
             if trouble == "person":
                 process.send_signal(signal.SIGINT)
             else:
-                children = psutil.Process(process.pid).children()
-                (ssh,) = [it for it in children if "robot2" in it.cmdline() and "-L" not in it.cmdline()]
+                (ssh,) = [it for it in processes_of_ssh(process.pid, "robot2") if "-L" not in it.cmdline()]
                 ssh.kill()
     return process.returncode, "".join(said)
 
@@ -205,7 +204,7 @@ def test_fleet_is_deployed_switched_and_rolled_back(rig: Rig, robots: SshHosts, 
         assert failed.returncode == 1 and "no host was changed" in failed.stderr and "yard.Run" in failed.stderr
         assert {name: files_of(host) for name, host in robots.hosts.items()} == before and running(robots) == pids
     finally:
-        ended = rig.pancakes("down", "--fleet-file", str(fleet))
+        ended = rig.pancakes("down", str(fleet))
     assert ended.returncode == 0, ended.stderr
     assert running(robots) == {}
 

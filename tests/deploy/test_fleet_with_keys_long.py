@@ -74,7 +74,7 @@ def yard(rig: Rig, hosts: SshHosts, core: Path, cache: Path) -> Iterator[Yard]:
     data = rig.environment.pop("XDG_DATA_HOME")  # the keys of agents are on their hosts only
     yield made
     rig.environment["XDG_DATA_HOME"] = data
-    rig.pancakes("down", "--fleet-file", str(made.file))
+    rig.pancakes("down", str(made.file))
 
 
 def test_one_command_deploys_a_fleet_with_keys(yard: Yard):
@@ -100,12 +100,12 @@ def test_one_command_deploys_a_fleet_with_keys(yard: Yard):
 
     # Each agent can check a roster, although nobody has requested the extra `keys`.
     revoked = yard.rig.pancakes(
-        "fleet",
+        "keys",
         "revoke",
         "bob",
         "laptop stolen",
-        "--force",
-        "--tell",
+        "--yes",
+        "--at",
         f"127.0.0.1:{yard.ports['a']}",
         "--fleet",
         "yard",

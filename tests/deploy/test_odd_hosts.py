@@ -9,7 +9,7 @@ from pathlib import Path
 
 import psutil
 import pytest
-from cli.processes import INSECURE, PATIENCE_S, Rig
+from cli.processes import INSECURE, PATIENCE_S, Rig, processes_of_ssh
 from deploy.ssh_hosts import BARE, INSTALLED, SshHosts, free_port, with_sshd
 
 from pancakes.errors import UnreachableError
@@ -50,7 +50,7 @@ def test_fleet_runs_on_a_host_whose_shell_prints(rig: Rig, hosts: SshHosts):
     bashrc(hosts, NOISE["title"])
     running = rig.launch(fleet(rig, ["robot1"]))
     running.hear("a0 is ready")
-    ended = rig.pancakes("down", "--fleet-file", str(rig.directory / "yard.toml"))
+    ended = rig.pancakes("down", str(rig.directory / "yard.toml"))
     assert ended.returncode == 0, ended.stderr
     assert running.ended() == 0
 
@@ -80,8 +80,8 @@ def test_host_that_falls_silent_is_reported(hosts: SshHosts, monkeypatch: pytest
     monkeypatch.setattr("pancakes.tools.launch.ssh.SILENT_S", 0.5)
     bashrc(hosts, "")
     link = HostLink("robot1")
-    python = link.obtain("look", 20.0, fleet_of={})["executable"]
-    (there,) = [it for it in psutil.process_iter() if it.name().startswith("python") and link_of(it, hosts, python)]
+    link.obtain("look", 20.0, fleet_of={})
+    (there,) = [it for it in psutil.process_iter() if link_of(it, hosts, "python")]
     there.suspend()
     with pytest.raises(UnreachableError, match="robot1 does not answer within 0.5 s"):
         link.obtain("look", fleet_of={})
@@ -102,7 +102,7 @@ def test_agents_on_a_silent_host_end(rig: Rig, hosts: SshHosts):
     program = "from pancakes.tools.launch import remote_hosts, ssh\n"
     program += "ssh.SILENT_S = 5.0\nremote_hosts.ALIVE_S = 0.5\n"
     program += "from pancakes.tools.cli.main import pancakes\npancakes()\n"
-    running = rig.run("-c", program, "launch", str(fleet(rig, ["robot1"])), "--restart", "no", whole=True)
+    running = rig.run("-c", program, "up", str(fleet(rig, ["robot1"])), "--restart", "no", whole=True)
     running.hear("a0 is ready")
     (there,) = [it for it in psutil.process_iter() if link_of(it, hosts, "")]
     there.suspend()
@@ -110,31 +110,29 @@ def test_agents_on_a_silent_host_end(rig: Rig, hosts: SshHosts):
     there.kill()
 
 
-def link_of(process: psutil.Process, hosts: SshHosts, python: str) -> bool:
+def link_of(process: psutil.Process, hosts: SshHosts, name: str) -> bool:
     try:
-        return process.environ().get("HOME") == str(hosts.hosts["robot1"].home) and "-u" in process.cmdline()
+        home = process.environ().get("HOME")
+        is_link = home == str(hosts.hosts["robot1"].home) and "-u" in process.cmdline()
+        return is_link and process.name().startswith(name)
     except psutil.Error:
         return False
 
 
-@pytest.mark.parametrize("verb", ["launch", "deploy", "down"])
+@pytest.mark.parametrize("verb", ["up", "deploy", "down"])
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
 def test_ended_command_leaves_no_ssh_process(rig: Rig, hosts: SshHosts, verb: str, number: int):
     names = ["robot1", "robot2", "robot3"]
     for name in names:
         bashrc(hosts, "sleep 600", name)
     path = fleet(rig, names)
-    words = {"down": ("down", "--fleet-file"), "launch": ("launch",), "deploy": ("deploy",)}[verb]
+    words = {"down": ("down",), "up": ("up",), "deploy": ("deploy",)}[verb]
     running = rig.run("-m", "pancakes.tools.cli.main", *words, str(path))
     until_s = time.monotonic() + PATIENCE_S
-    while len(children := of_ssh(running.pid)) < len(names):
+    while len(children := processes_of_ssh(running.pid)) < len(names):
         assert time.monotonic() < until_s, running.so_far()
         time.sleep(0.02)
     _, took_s = running.signalled(number)
     assert took_s < 4.0
     gone, left = psutil.wait_procs(children, PATIENCE_S)
     assert not left and len(gone) == len(names)
-
-
-def of_ssh(pid: int) -> list[psutil.Process]:
-    return [it for it in psutil.Process(pid).children(recursive=True) if it.name() == "ssh"]

@@ -68,7 +68,7 @@ def test_roll_back_restores_running_tasks(rig: Rig, yard: Yard, core: Path):
         (recorder,) = yard.asked("task", "info", "a/log/Recorder")
         assert recorder["settings"]["channels"] == ["system"]
     finally:
-        rig.pancakes("down", "--fleet-file", str(yard.file))
+        rig.pancakes("down", str(yard.file))
 
 
 @pytest.mark.timeout(300)
@@ -82,4 +82,4 @@ def test_fixed_version_runs_after_a_bad_first_one(rig: Rig, yard: Yard, core: Pa
         assert done.returncode == 0, done.stderr
         assert yard.state("Walk") == "running"
     finally:
-        rig.pancakes("down", "--fleet-file", str(yard.file))
+        rig.pancakes("down", str(yard.file))

@@ -26,7 +26,7 @@ def test_without_a_bound_nothing_is_silent():
 
 @pytest.mark.parametrize("in_a_row", [1, 2, 5])
 def test_a_sound_reading_between_begins_the_row_anew(in_a_row):
-    readings = Readings(MissRule(in_a_row=in_a_row, within_s=1e6), "reading", None, 0.0)
+    readings = Readings(MissRule(in_a_row=in_a_row, within_mission_s=1e6), "reading", None, 0.0)
     time_s = 0.0
     for _ in range(3):
         for _ in range(in_a_row - 1):
@@ -38,7 +38,7 @@ def test_a_sound_reading_between_begins_the_row_anew(in_a_row):
 
 
 def test_one_miss_in_each_span_is_told_once_in_each():
-    readings = Readings(MissRule(within_s=10.0), "command", None, 0.0)
+    readings = Readings(MissRule(within_mission_s=10.0), "command", None, 0.0)
     told: list[tuple[str, str]] = []
     for step in range(400):
         told += readings.missed("noise", step * 0.1)[0] if step % 100 == 50 else readings.came(step * 0.1)

@@ -24,7 +24,7 @@ def test_they_are_sound_and_find_each_other(demo: str) -> None:
     addresses = {address for config in configs.values() for address in config.agent.listen}
     for agent, config in configs.items():
         assert config.agent.name == agent
-        assert set(config.agent.peers) == addresses - set(config.agent.listen)
+        assert set(config.agent.peers) == addresses, "an agent skips its own"
         assert config.clock.hold, "the mission waits until all are ready"
     bus = configs["world"].tasks["World"].settings["bus"]
     simulated = [device for config in configs.values() for device in config.devices.values() if "sim." in device.driver]
@@ -42,11 +42,12 @@ def test_agent_2_runs_nothing_at_first_and_the_sensor_has_no_motors(demo: str) -
 def test_two_guardians_are_left_where_the_robot_that_circles_is_lost() -> None:
     configs = read("rescue")
     (guarded,) = configs["agent1"].tasks.values()
-    assert guarded.guard == 3 and guarded.lease_s == 2.0 and guarded.migrate is None
-    assert set(guarded.guardians) == set(AGENTS) - {"world", "agent1"}
+    rule = guarded.guard
+    assert rule is not None and (rule.copies, rule.lease_s, guarded.migrate) == (3, 2.0, None)
+    assert set(rule.guardians) == set(AGENTS) - {"world", "agent1"}
     assert configs["agent2"].tasks == {}, "it runs nothing until it goes on"
     assert RESCUE.loss is not None and RESCUE.loss.agent == "agent1"
-    assert (guarded.lease_s + 1.5) * RESCUE.fastest <= RESCUE.loss.away_s, "it comes back after the take-over"
+    assert (rule.lease_s + 1.5) * RESCUE.fastest <= RESCUE.loss.away_s, "it comes back after the take-over"
 
 
 def test_the_pioneers_run_the_same_tasks_as_the_kheperas() -> None:

@@ -19,7 +19,7 @@ def rescue(mission: Any) -> Any:
     """The made-up mission, made into one in which agent 1 is killed, and agent 2 goes on."""
     mission.events = []
     mission.handed_over_s, mission.gap_s = LOST_S, TAKEN_S + 0.1 - LOST_S
-    mission.configs["agent1"]["tasks"]["ScanTarget"] |= {"guard": 3, "lease_s": 2.0, "checkpoint_s": 0.5}
+    mission.configs["agent1"]["tasks"]["ScanTarget"] |= {"guard": {"copies": 3, "lease_s": 2.0, "checkpoint_s": 0.5}}
     mission.configs["agent1"]["clock"] = {"speed": 1.0}
     mission.tell(0.0, "agent1", "roster", tasks=["ScanTarget"])
     mission.tell(0.0, "agent2", "roster", tasks=[])

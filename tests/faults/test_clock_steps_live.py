@@ -31,7 +31,7 @@ def wait_until(condition: Callable[[], Any]) -> None:
 
 def test_clock_step_pauses_a_guarded_task_until_guardians_answer(tmp_path: Path) -> None:
     """And it goes on under the same epoch."""
-    task = '[task.One]\ntype = "torture.Holder"\nguard = 3\nlease_s = 10.0\ntakeover = "ask"\n'
+    task = '[task.One]\ntype = "torture.Holder"\nguard = { copies = 3, lease_s = 10.0, takeover = "ask" }\n'
     rest = {"a": f'{task}settings = {{directory = "{tmp_path}"}}\n'}
     listen = {name: f"local://{tmp_path}/{name}" for name in NAMES}
     fleet = LiveFleet(tmp_path, NAMES, rest, listen, spoilt_by=STEPPED.replace("THE_DIRECTORY", str(tmp_path)))
@@ -48,6 +48,7 @@ def test_clock_step_pauses_a_guarded_task_until_guardians_answer(tmp_path: Path)
                 return dict(rows[0]) if rows else {}
 
             wait_until(lambda: len(row().get("guardians", ())) == 3)
+            fleet.running["a"].hear("permit_given task=One")
             (tmp_path / "stepped").touch()
             fleet.running["a"].hear("the time of day of a was set forward by 60.0 s")
             acts = (tmp_path / "One.count").stat().st_size

@@ -1,10 +1,10 @@
-"""The link cut at the steps of a hand-off that matter most; `scripts/torture cuts` cuts it at all of them."""
+"""The link cut at the steps of a migration that matter most; `scripts/torture cuts` cuts it at all of them."""
 
 from __future__ import annotations
 
 from torture.cuts import FATES, Cutter
 
-CASES = (("prepared", FATES[3]), ("commit", FATES[0]), ("commit", FATES[2]), ("activated", FATES[3]))
+CASES = (("prepare", FATES[3]), ("promise", FATES[0]), ("promise", FATES[2]), ("known", FATES[3]))
 
 
 def test_fault_cuts_end_as_the_protocol_says() -> None:

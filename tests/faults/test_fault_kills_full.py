@@ -1,4 +1,4 @@
-"""SIGKILLs of real agents at each point of a hand-off, over each kind of link, with routers that fail too."""
+"""SIGKILLs of real agents at each point of a migration, over each kind of link, with routers that fail too."""
 
 from __future__ import annotations
 

@@ -12,8 +12,7 @@ from torture import schedules
 from torture.schedules import run_schedule
 
 from pancakes.config import Config
-from pancakes.durable import handoff
-from pancakes.durable.record import Phase, Record
+from pancakes.durable import rules
 from pancakes.testing import config_of
 
 
@@ -51,10 +50,10 @@ def test_fault_schedules_of_two_seeds_differ() -> None:
 
 
 TOLD = (
-    r"on the disk of (\w): \w/\w+ stands still, and is offered to \w as \d+@\1",
-    r"on the disk of (\w): \w/\w+ is given to \w as \d+@\1, for good",
+    r"on the disk of \w: \w/\w+ is paused, and is offered to \w",
+    r"on the disk of \w: \w/\w+ is promised to (\w) as \d+@\1, for good",
     r"\bkilled: \w",
-    r"\b(\w) hears from (\w): COMMIT \d+@\2 for \w/\w+",
+    r"\b(\w) hears from \w: PROMISE \d+@\1 for \w/\w+",
 )
 
 
@@ -73,28 +72,24 @@ def violations(seeds: range) -> Iterator[str]:
     return (outcome.violation for outcome in map(run_schedule, seeds) if outcome.violation)
 
 
-def test_fault_schedules_convict_agents_that_take_back_a_task(monkeypatch: pytest.MonkeyPatch) -> None:
-    """They take back what they have given away."""
-    recover = handoff.recover
+def test_fault_schedules_convict_agents_that_forget_a_promise(monkeypatch: pytest.MonkeyPatch) -> None:
+    """They say that another agent may have the task, and do not write that down."""
+    prepare = rules.RULES[rules.Prepare]
 
-    def forgetful(record: Record, *others: Any) -> Any:
-        if record.phase is Phase.COMMITTED:
-            from pancakes.durable.handoff import taken_back
+    def forgetful(place: rules.Place, event: rules.Prepare) -> list[Any]:
+        effects = prepare(place, event)
+        if not any(isinstance(it, rules.Persist) for it in effects):
+            return effects
+        return [*(it for it in effects if isinstance(it, rules.Send)), rules.Persist(place.register)]
 
-            record = taken_back(record)
-        return recover(record, *others)
-
-    monkeypatch.setattr(handoff, "recover", forgetful)
-    assert any(" runs on " in violation for violation in violations(range(1, 41)))
+    monkeypatch.setitem(rules.RULES, rules.Prepare, forgetful)
+    assert any(" has run, at " in violation for violation in violations(range(1, 41)))
 
 
 def test_fault_schedules_convict_agents_that_forget_a_task(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What is dormant may not be dropped by a time-out: it may have been given away."""
-    from pancakes.durable import handoff
-
-    monkeypatch.setattr(handoff, "recover_candidate", lambda record, times: [])
-    monkeypatch.setattr(handoff, "resend_candidate", lambda record, event, times: [])
-    monkeypatch.setattr(handoff, "commit", lambda record, event, message: [])
+    """An heir may not forget by a time-out what it was promised."""
+    monkeypatch.setattr(rules, "resend", lambda place: [])
+    monkeypatch.setitem(rules.RULES, rules.Promise, lambda place, event: [])
     assert any("after all healed" in violation for violation in violations(range(1, 6)))
 
 

@@ -12,12 +12,12 @@ from torture.late_acts import LateTally, run_late_acts
 OPENED = """
 import pancakes.agent.agent
 from pancakes.mesh.session import OPEN
-from pancakes.durable.leases import GuardedTasks
+from pancakes.durable.leases import Leases
 from pancakes.kernel.permits import Permits
 
 Permits.limited = lambda permits, fence, most_s: fence
 pancakes.agent.agent.Gate = lambda *given: OPEN
-GuardedTasks.may_write = lambda *given: None
+Leases.may_write = lambda *given: None
 """
 """Agents that look at the permit before each turn, and when a task publishes, and not after that."""
 

@@ -9,7 +9,7 @@ from soak.held import held_by
 
 from pancakes.config import parse
 from pancakes.control import Follow, Migrate, Reschedule, Restart, Start, Stop, Unfollow
-from pancakes.durable import census
+from pancakes.durable import answers
 from pancakes.durable.store import KEPT as LEDGERS
 from pancakes.errors import MailboxFullError
 from pancakes.kernel import dead_letters, stream
@@ -135,7 +135,7 @@ def trouble():
     for _ in range(2 * LEDGERS):  # so many accounts of moves are kept, on either side
         made.move("Walk")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(census, "MOST_AGENTS", 3)  # bounds that are reached here, and hold
+        patch.setattr(answers, "MOST_AGENTS", 3)  # bounds that are reached here, and hold
         patch.setattr(dead_letters, "MOST_TOLD", 3)
         patch.setattr(stream, "MOST_ROUTES", 32)  # one for each agent that ever was spoken to
         for _ in range(2):

@@ -22,11 +22,13 @@ from harness.guide import ROOT, Example, example, examples, guides
 
 from pancakes.config import parse
 from pancakes.config.checks import check_plugins
-from pancakes.devices import Pose
+from pancakes.config.toml_reader import self_contained
+from pancakes.control import Describe, Migrate
+from pancakes.devices import Battery, Pose, Twist
 from pancakes.devices.driver import Actuator, Sensor
 from pancakes.packet import Packet
 from pancakes.simulation.fleet import registered
-from pancakes.task import Task, on
+from pancakes.task import Task, Tick, every, on
 from pancakes.testing import Fleet
 from pancakes.tools.cli.agent_command import agent as pancakes_agent
 from pancakes.tools.cli.main import pancakes
@@ -39,7 +41,10 @@ COMMANDS = [it for it in ALL if it.commands]
 
 RUN_WHOLE = {
     "README.md": ".ci/run",
+    "docs/cheat-sheet.md": "guides.test_reference_pages_live",
     "docs/client.md": ".ci/run",
+    "docs/demos.md": ".ci/run",
+    "docs/ros2-users.md": "guides.test_reference_pages_live",
     "docs/tutorial.md": ".ci/run",
     "plugins/pancakes-mqtt/README.md": "tests/mqtt",
     "plugins/pancakes-pi/README.md": "tests/pi",
@@ -52,17 +57,29 @@ RUN_WHOLE = {
 LIVE = "guides.test_guides_live"
 HERE = "guides.test_guides"
 WHERE: dict[tuple[str, str], str] = {
-    ("README.md", "scripts/demo"): "not run: a demo on a terminal takes a minute; tests/demo has it",
+    ("docs/behaviour-trees.md", "import py_trees"): f"{HERE}.test_tree_of_the_guide_goes_on_where_it_was",
+    ("docs/allocation.md", "pancakes what-if"): "not run: tests/what_if/test_what_if_allocate.py asks two agents",
+    ("docs/drive.md", "pancakes drive"): "not run: tests/cli/test_drive_verb.py drives in a terminal of its own",
     ("docs/configuration.md", "pancakes-agent --config"): f"{LIVE}.test_configuration_files_are_checked",
     ("docs/configuration.md", "pancakes task create"): f"{LIVE}.test_configuration_of_created_tasks_is_kept",
-    ("docs/configuration.md", "pancakes launch"): f"{LIVE}.test_configuration_of_fleets_is_launched",
-    ("docs/deployment.md", "pancakes launch"): "not run: needs hosts behind ssh; tests/cli/test_launch_on_hosts*.py",
+    ("docs/configuration.md", "pancakes up"): f"{LIVE}.test_configuration_of_fleets_is_launched",
+    ("docs/deployment.md", "pancakes up"): "not run: needs hosts behind ssh; tests/cli/test_launch_on_hosts*.py",
     ("docs/deployment.md", "pancakes deploy"): "not run: needs hosts behind ssh; tests/deploy",
+    ("docs/demos.md", "pancakes demo"): "not run: on a terminal, and in a browser; tests/demo and tests/web",
+    ("docs/discovery.md", "pip install"): "not run: the environment has it",
+    ("docs/discovery.md", "pancakes"): "not run: needs two machines; tests/net/test_dns_sd_live.py",
+    ("docs/discovery.md", "from pancakes import Client"): "not run: tests/examples has the whole program",
     ("docs/energy.md", "pancakes demo energy"): "not run: takes minutes; tests/demo/test_energy_demo.py has it",
+    ("docs/filters.md", "pancakes param set"): "not run: tests/filters changes settings while wheels run",
+    ("docs/filters.md", "from dataclasses"): f"{HERE}.test_filter_of_the_guide_holds",
+    ("docs/filters.md", "from pancakes import NEIGHBOURS"): "not run: part of a task; tests/filters hears such packets",
+    ("docs/halt.md", "pancakes halt"): "not run: it asks a person; tests/cli/test_halt_verb.py",
+    ("docs/halt.md", "from pancakes import SYSCTRL"): "not run: part of a task; tests/services/test_halt.py",
     ("docs/page.md", "pancakes demo"): "not run: a page in a browser, until Ctrl-C; tests/web",
+    ("docs/page.md", "pancakes view --host"): "not run: until Ctrl-C; tests/web/test_exposed_page.py",
     ("docs/page.md", "pancakes task info"): "not run: in the demo's 67th second; tests/cli/test_task_state*.py",
-    ("docs/protocol.md", "scripts/check-migration"): "not run: an exhaustive search; tests/migration and others",
-    ("docs/protocol.md", "scripts/torture"): "not run: takes minutes to hours",
+    ("docs/traces.md", "pip install"): "not run: the environment has it",
+    ("docs/trials.md", "scripts/torture"): "not run: takes minutes to hours",
     ("docs/recordings.md", "pancakes demo"): f"{LIVE}.test_recordings_are_made",
     ("docs/recordings.md", "pancakes view"): "not run: serves Foxglove until Ctrl-C; tests/cli/test_foxglove*.py",
     ("docs/recordings.md", "pancakes record start --task"): f"{LIVE}.test_recordings_are_made",
@@ -92,28 +109,35 @@ WHERE: dict[tuple[str, str], str] = {
     ): f"{LIVE}.test_recordings_are_used",
     ("docs/recordings.md", "from pathlib import Path"): f"{LIVE}.test_recordings_are_used",
     ("docs/refusals.md", "try:"): "not run: part of a program; tests/client has what it raises",
+    ("docs/releases.md", "pip download"): "not run: needs another machine; scripts/release tries an index of its own",
     ("docs/releases.md", "scripts/release"): "not run: .ci/run runs it with other arguments",
     ("docs/releases.md", "pancakes --version"): f"{LIVE}.test_releases_say_their_version",
     ("docs/releases.md", "python3 -m venv"): "not run: installs wheels into /opt; tests/demo tries the wheels",
+    ("docs/robotarium.md", "pip install"): "not run: the environment has it; tests/robotarium runs the demo",
+    ("docs/robotarium.md", "from pancakes"): "robotarium.test_robotarium_guide.test_script_prints_what_it_must",
     ("docs/ros2.md", "source /opt/ros"): "not run: needs ROS 2; tests/ros2",
     ("docs/ros2.md", "ros2 param"): "not run: needs ROS 2; tests/ros2",
-    ("docs/ros2.md", "pip install 'pancakes-ros2[demo]'"): "not run: needs ROS 2; tests/ros2",
+    ("docs/ros2.md", "pip install -e"): "not run: needs ROS 2; tests/ros2",
+    ("docs/ros2.md", "pancakes rosbag export"): "not run: tests/ros2/test_bags.py has these commands",
+    ("docs/ros2.md", "pancakes rosbag import"): "not run: tests/ros2/test_bags.py has these commands",
     ("docs/ros2.md", "pancakes demo ros2"): "not run: needs ROS 2; tests/ros2",
-    ("docs/security.md", "pancakes fleet init"): "not run: needs three machines; tests/cli/test_first_hour*.py",
-    ("docs/security.md", "pancakes fleet join"): "not run: needs three machines; tests/cli/test_first_hour*.py",
+    ("docs/security.md", "pancakes keys init"): "not run: needs three machines; tests/cli/test_first_hour*.py",
+    ("docs/security.md", "pancakes keys join"): "not run: needs three machines; tests/cli/test_first_hour*.py",
     ("docs/security.md", "pancakes agent list"): f"{LIVE}.test_security_of_two_robots",
-    ("docs/security.md", "pancakes fleet enrol agent3"): f"{LIVE}.test_security_of_two_robots",
+    ("docs/security.md", "pancakes keys enrol agent3"): f"{LIVE}.test_security_of_two_robots",
     ("docs/security.md", "pancakes task stop"): f"{LIVE}.test_security_of_two_robots",
-    ("docs/security.md", "pancakes fleet revoke"): f"{LIVE}.test_security_of_two_robots",
+    ("docs/security.md", "pancakes keys revoke"): f"{LIVE}.test_security_of_two_robots",
     ("docs/runbook.md", "pancakes"): "not run: what an operator does after a fault; tests/cli and tests/services",
     ("docs/simulation.md", "from pancakes import Simulation"): f"{HERE}.test_simulation_prints_what_its_guide_says",
     ("docs/simulation.md", "import gymnasium"): f"{HERE}.test_simulation_makes_a_learning_environment",
-    ("docs/simulation.md", "pancakes demo"): "not run: 200 missions; .ci/run has eight of the README",
+    ("docs/simulation.md", "pancakes demo"): "not run: 200 missions; .ci/run has eight of demos.md",
     ("docs/system-service.md", "sudo useradd"): "not run: changes this machine; tests/systemd_vm",
     ("docs/testing.md", "pytest"): "not run: tests/testing/test_pytest_plugin.py has the options",
     ("docs/time.md", '@on("system", Pose)'): f"{HERE}.test_time_of_a_packet_elsewhere",
     ("docs/time.md", "pancakes doctor"): "not run: needs a robot whose clock is a year behind; tests/cli",
     ("docs/tutorial.md", ""): "not run: .ci/run has made the environment already",
+    ("docs/upgrading.md", "pip install"): "not run: another version is not there; tests/deploy and tests/kept",
+    ("docs/upgrading.md", "pancakes deploy"): "not run: needs hosts behind ssh; tests/deploy",
     ("docs/what-if.md", "pancakes what-if"): f"{LIVE}.test_what_if_is_asked",
     ("docs/writing-a-driver.md", ""): "not run: installs the guide's package; tests/testing runs its files",
     ("docs/writing-a-task.md", ""): "not run: installs the guide's package; tests/testing runs its files",
@@ -123,8 +147,9 @@ WHERE: dict[tuple[str, str], str] = {
     ("plugins/pancakes-mqtt/README.md", "pancakes channel echo"): "not run: until Ctrl-C; tests/mqtt",
     ("plugins/pancakes-pi/README.md", "pip install"): "not run: the environment has it",
     ("plugins/pancakes-pi/README.md", "pancakes task info"): "not run: tests/pi has what it says",
+    ("plugins/pancakes-robotarium/README.md", "pip install"): "not run: the environment has it; tests/robotarium",
     ("plugins/pancakes-sensor-field/README.md", "pip install"): "not run: .ci/run has it, in README.md",
-    ("plugins/pancakes-sensor-field/README.md", "pancakes launch"): "not run: tests/sensor_field has it",
+    ("plugins/pancakes-sensor-field/README.md", "pancakes up"): "not run: tests/sensor_field has it",
     ("plugins/pancakes-sensor-field/README.md", "python -m"): "not run: tests/sensor_field has it",
     ("plugins/pancakes-sensor-field/README.md", "pancakes-agent"): "not run: tests/sensor_field has it",
     ("plugins/pancakes-zenoh/README.md", "pip install"): f"{LIVE}.test_zenoh_joins_two_agents",
@@ -140,7 +165,8 @@ def entry_of(block: Example) -> str:
 
 
 def is_run_whole(block: Example) -> bool:
-    return block.guide in RUN_WHOLE and block.language in ("sh", "python")
+    """Returns whether a block is run with its guide; those of how-to pages are examples, which tests/examples runs."""
+    return (block.guide in RUN_WHOLE or block.guide.startswith("docs/how-to/")) and block.language in ("sh", "python")
 
 
 def test_guides_have_no_block_that_is_forgotten():
@@ -229,7 +255,19 @@ def test_guides_have_sound_configurations(block: Example, tmp_path: Path):
     text = block.text
     if "schema" not in values:
         text = merged(block, values)
+    if name := named_file(block):
+        for other in (it for it in TOML if it.guide == block.guide and named_file(it)):
+            (tmp_path / named_file(other)).write_text(other.text)
+        if "name" not in values["agent"]:
+            return  # it is checked with the file that extends it
+        text = self_contained(str(tmp_path / name))
     assert [str(fault) for fault in check_plugins(parse(text, block.guide), registered(INVENTED))] == []
+
+
+def named_file(block: Example) -> str:
+    """Returns the name of the file that a block begins with, as in `# robot1.toml`; empty: none."""
+    found = re.match(r"# (\w+\.toml)\n", block.text)
+    return found[1] if found else ""
 
 
 def merged(block: Example, values: dict[str, Any]) -> str:
@@ -250,7 +288,7 @@ def merged(block: Example, values: dict[str, Any]) -> str:
 @pytest.mark.parametrize("block", [it for it in TOML if "[project]" in it.text], ids=str)
 def test_guides_have_sound_distributions(block: Example):
     groups = tomllib.loads(block.text)["project"]["entry-points"]
-    known = {"pancakes.tasks", "pancakes.drivers", "pancakes.packets", "pancakes.services"}
+    known = {"pancakes.tasks", "pancakes.drivers", "pancakes.filters", "pancakes.packets", "pancakes.services"}
     assert groups and set(groups) <= known
 
 
@@ -370,3 +408,49 @@ def test_plugins_of_guides_are_not_installed():
     plugins = Plugins()
     known = {name for group in ("pancakes.tasks", "pancakes.drivers") for name in plugins.names(group)}
     assert not known & set(INVENTED)
+
+
+class Drive(Task):
+    """Drives a little, all the time."""
+
+    requires = ("motors",)
+
+    @every(hz=10)
+    def drive(self, tick: Tick) -> None:
+        self.publish("ctrl", Twist(0.1, 0.0))
+
+
+def test_filter_of_the_guide_holds():
+    """Its battery is empty; later it is charged."""
+    code = example("docs/filters.md", "from dataclasses")
+    names: dict[str, Any] = {}
+    exec(compile(code.text, str(code), "exec"), names)
+    with Fleet(seed=1) as fleet:
+        reserve = {"type": names["Reserve"], "device": "motors", "settings": {"least": 0.2}}
+        agent = fleet.start(
+            "a", devices={"motors": "null.motors"}, filters={"reserve": reserve}, tasks={"Drive": Drive}
+        )
+        for level, doing in ((0.5, "passes"), (0.1, "holds"), (0.5, "passes")):
+            agent.publish("system", Battery(8.0, level))
+            fleet.run_for(3.0)
+            (found,) = agent.ask(Describe("motors")).result["filters"]
+            assert found["doing"] == doing
+
+
+def test_tree_of_the_guide_goes_on_where_it_was():
+    """It looks around on the second robot, and rests once its battery is low."""
+    code = example("docs/behaviour-trees.md", "import py_trees")
+    names: dict[str, Any] = {}
+    exec(compile(code.text, str(code), "exec"), names)
+    devices = {"motors": "null.motors", "battery": "null.battery"}
+    with Fleet(seed=1) as fleet:
+        a = fleet.start("a", devices=devices, tasks={"Patrol": names["Patrol"]})
+        b = fleet.start("b", devices=devices, classes={"Patrol": names["Patrol"]})
+        fleet.connect()
+        fleet.run_to(4.05)
+        assert a.ask(Migrate("Patrol", to="b")).ok
+        fleet.run_to(6.0)
+        assert b.task("Patrol").tree.tip().name == "Look"
+        b.publish("system", Battery(8.0, 0.1))
+        fleet.run_for(0.3)
+        assert b.task("Patrol").tree.tip().name == "Stop"

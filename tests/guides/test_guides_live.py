@@ -101,7 +101,7 @@ def test_configuration_of_created_tasks_is_kept(reader: Reader):
 
 
 def test_configuration_of_fleets_is_launched(reader: Reader):
-    folder, files, dry = example("docs/configuration.md", "pancakes launch").commands
+    folder, files, dry = example("docs/configuration.md", "pancakes up").commands
     shutil.copytree(CONFIGS, reader.folder / "configs" / "encirclement")
     for name in ("world", "robot"):
         reader.rig.config(name)
@@ -167,10 +167,10 @@ def replayed(reader: Reader) -> None:
             reader.rig.ready("agent1", fleet="encirclement")
         more = () if "--dry-run" in command else ("--dry-run",)
         assert "dry run" in reader.types(command, *more)
-    for name in ("agent1", "agent2"):
+    for name in ("common", "agent1", "agent2"):
         shutil.copy(CONFIGS / f"{name}.toml", reader.folder)
     (virtual,) = example("docs/recordings.md", "pancakes replay recordings --config").commands
-    reader.types(virtual, "--to", "5s")
+    reader.types(virtual, "--end", "5s")
     assert sorted(it.name for it in (reader.folder / "again").iterdir()) == ["agent1.mcap", "agent2.mcap"]
 
 
@@ -184,7 +184,7 @@ ONCE = f"{PASSWORD}\n"
 def garage(tmp_path: Path) -> Iterator[dict[str, Machine]]:
     with machines(tmp_path, ["laptop", "robot1", "robot3", "bob"], "homes") as made:
         found = dict(zip(["laptop", "robot1", "robot3", "bob"], made, strict=True))
-        found["laptop"].said("fleet", "init", "garage", "--me", "alice", typed=ONCE * 2)
+        found["laptop"].said("keys", "init", "garage", "--me", "alice", typed=ONCE * 2)
         yield found
 
 
@@ -198,14 +198,14 @@ def test_security_of_two_robots(garage: dict[str, Machine]):
     """A robot and a person come with folders, the person lacks a right, and the operator gets a new key."""
     laptop, robot1 = garage["laptop"], garage["robot1"]
     for name, machine, *role in (("agent1", robot1), ("bob", garage["bob"], "--role", "observer")):
-        laptop.said("fleet", "enrol", name, *role, "--out", "stick", typed=ONCE)
+        laptop.said("keys", "enrol", name, *role, "--out", "stick", typed=ONCE)
         laptop.bring("stick", machine)
-        machine.said("fleet", "join", "stick")
+        machine.said("keys", "join", "stick")
     robot1.agent("agent1").hear(READY)
     ((_, listing),) = lines_of(example("docs/security.md", "laptop$ pancakes agent list"), robot1)
     assert "agent1" in laptop.said(*listing)
 
-    (enrol, join) = lines_of(example("docs/security.md", "laptop$ pancakes fleet enrol agent3"), robot1)
+    (enrol, join) = lines_of(example("docs/security.md", "laptop$ pancakes keys enrol agent3"), robot1)
     told = laptop.said(*enrol[1], typed=ONCE)
     assert "It contains the private key: remove it here afterwards." in told
     laptop.bring("agent3", garage["robot3"])
@@ -216,12 +216,12 @@ def test_security_of_two_robots(garage: dict[str, Machine]):
     said = " ".join(refused.stderr.split())
     assert refused.returncode == 1 and "lacks the right 'change' on 'agent1/device/load' (roster 1)" in said
 
-    block = example("docs/security.md", "laptop$ pancakes fleet revoke operator/alice")
+    block = example("docs/security.md", "laptop$ pancakes keys revoke operator/alice")
     for _, words in lines_of(block, robot1):
         if "&&" in words:
             words = words[: words.index("&&")]
-        typed = "" if words[:2] == ["fleet", "join"] else ONCE
-        if words[:2] == ["fleet", "revoke"]:  # no agent has heard of it until the last line
+        typed = "" if words[:2] == ["keys", "join"] else ONCE
+        if words[:2] == ["keys", "revoke"]:  # no agent has heard of it until the last line
             assert laptop.pancakes(*words, typed=typed).returncode == 1
             continue
         told = laptop.said(*words, typed=typed)
@@ -235,7 +235,7 @@ def test_what_if_is_asked(reader: Reader):
     one = reader.rig.ready("robot2")
     peers = f'peers = ["{reader.rig.address(one)}"]'
     reader.rig.ready("robot1", '[task.Planner]\ntype = "patrol.Watch"\n', agent=peers).hear("peer_up peer=robot2")
-    move, rate, without = example("docs/what-if.md", "pancakes what-if").commands
+    move, rate, without, _ = example("docs/what-if.md", "pancakes what-if").commands
     assert "If robot1/client/Planner migrates to robot2" in reader.types(move, "--for", "1s")
     reader.types(rate, "--for", "1s")
     reader.types(without, "--for", "1s")

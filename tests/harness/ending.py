@@ -9,6 +9,14 @@ from contextlib import contextmanager
 from typing import Any
 
 
+class Ended(BaseException):
+    """The command is asked to end: raised in whatever the main thread does.
+
+    It is no `SystemExit`: in virtual time the main thread gives actors their turns, and an actor takes that for a
+    failure of its own, so the run went on with a task less, and found a fault that was none.
+    """
+
+
 @contextmanager
 def interruptible() -> Iterator[None]:
     """Lets SIGTERM and SIGHUP end the run as Ctrl-C does, so that it clears up. Main thread.
@@ -17,7 +25,7 @@ def interruptible() -> Iterator[None]:
     """
 
     def end(number: int, frame: object) -> None:
-        sys.exit(128 + number)
+        raise Ended(number)
 
     before: dict[int, Any] = {}
     for taken in (signal.SIGTERM, signal.SIGHUP):
@@ -25,6 +33,8 @@ def interruptible() -> Iterator[None]:
             before[taken] = signal.signal(taken, end)
     try:
         yield
+    except Ended as ended:
+        sys.exit(128 + ended.args[0])
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)

@@ -52,7 +52,8 @@ class Example(NamedTuple):
 
 def guides() -> list[str]:
     """Returns the paths of all guides in the project, without the reference, which is generated."""
-    found = [ROOT / "README.md", *(ROOT / "docs").glob("*.md"), *(ROOT / "plugins").glob("*/README.md")]
+    found = [ROOT / "README.md", *(ROOT / "docs").glob("*.md"), *(ROOT / "docs" / "how-to").glob("*.md")]
+    found += [*(ROOT / "plugins").glob("*/README.md")]
     return sorted(path.relative_to(ROOT).as_posix() for path in found)
 
 

@@ -21,6 +21,7 @@ from pancakes.tools.launch.process import ForkServer
 
 PANCAKES = "pancakes.tools.cli.main"
 AGENT = "pancakes.tools.cli.agent_command"
+EXAMPLES = "examples."
 TESTS = Path(__file__).resolve().parents[1]
 
 _lock = threading.Lock()
@@ -31,13 +32,14 @@ class Program(subprocess.Popen[str]):
     """A process; its pipes carry text.
 
     Args:
-        command: what to run. `[sys.executable, "-m", PANCAKES or AGENT, ...]` is forked, all else starts as always.
+        command: what to run. `[sys.executable, "-m", PANCAKES or AGENT, ...]` and examples are forked, all else starts
+            as always.
         true_start: whether a new Python starts all the same, because the test is about that.
         options: as those of `subprocess.Popen`.
     """
 
     def __init__(self, command: Sequence[str], *, true_start: bool = False, **options: Any) -> None:
-        is_ours = command[:2] == [sys.executable, "-m"] and command[2] in (PANCAKES, AGENT)
+        is_ours = command[:2] == [sys.executable, "-m"] and command[2].startswith((PANCAKES, AGENT, EXAMPLES))
         self._is_forked = is_ours and not true_start and sys.platform.startswith("linux")
         super().__init__(command, text=True, **options)
 

@@ -23,5 +23,5 @@ def subscribed(cls: type) -> list[tuple[str, bool]]:
 
 def test_each_takes_what_is_addressed_to_it_alone() -> None:
     heard = {cls.__name__: subscribed(cls) for cls in components()}
-    assert all(heard[name] for name in ("ClientServiceCore", "Guardian", "Census", "Courier", "TaskMigrator"))
+    assert all(heard[name] for name in ("Registrar", "Courier", "TaskMigrator"))
     assert [(name, kind) for name, kinds in heard.items() for kind, addressed in kinds if not addressed] == []

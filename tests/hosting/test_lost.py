@@ -4,54 +4,48 @@ from __future__ import annotations
 
 import pytest
 from msgspec.structs import replace
+from register.registers import OWNED, TASK, A, B, record
 
-from pancakes.durable.record import NO_EPOCH, Epoch, Lost, Phase, Record, TaskId, Wanted
+from pancakes.durable.record import Lost
+from pancakes.durable.register import NO_EPOCH, Epoch, Standing, Wanted
 
-SCAN = TaskId("a", "Scan")
-UNREAD = Lost(SCAN, "its record cannot be read")
-GIVEN = Record(SCAN, Phase.COMMITTED, seen=Epoch(4, "a"), peer="b", snapshot=b"s")
-READ = Lost(SCAN, "its journal is a copy", read=GIVEN)
+UNREAD = Lost(TASK, "its record cannot be read")
+READ = Lost(TASK, "its journal is a copy", read=record(Standing.YIELDED))
 
 
-def test_the_epoch_of_an_adoption_is_above_all_that_is_known() -> None:
-    assert (UNREAD.seen, READ.seen) == (NO_EPOCH, Epoch(4, "a"))
-    assert replace(READ, heard=Epoch(3, "c")).seen == Epoch(4, "a")
-    assert replace(READ, heard=Epoch(5, "c")).seen == replace(UNREAD, heard=Epoch(5, "c")).seen == Epoch(5, "c")
+def test_epoch_of_an_adoption_is_above_all_that_is_known() -> None:
+    assert (UNREAD.seen, READ.seen) == (NO_EPOCH, Epoch(1, B, 4))
+    assert replace(READ, heard=Epoch(0, B)).seen == Epoch(1, B, 4)
+    assert replace(READ, heard=Epoch(5, A)).seen == replace(UNREAD, heard=Epoch(5, A)).seen == Epoch(5, A)
     assert (UNREAD.jump, replace(UNREAD, times=3).jump) == (1_000_000, 3_000_000)
 
 
 @pytest.mark.parametrize(
-    ("phase", "was"),
+    ("standing", "was"),
     [
-        (Phase.ABSENT, "was not here"),
-        (Phase.OWNER, "was here"),
-        (Phase.FROZEN, "was here, and about to be handed over to b"),
-        (Phase.COMMITTED, "was given to b"),
-        (Phase.PREPARED, "was on its way here from b"),
-        (Phase.RELEASED, "was handed over to b"),
+        (Standing.NONE, "was not here"),
+        (Standing.OWNER, "was here"),
+        (Standing.OFFERED, "was here, and about to go to b"),
+        (Standing.YIELDED, "was given to b"),
+        (Standing.DISPUTED, "was here, and on another agent too"),
+        (Standing.HEIR, "was on its way here from b"),
+        (Standing.MEMBER, "was with b, and guarded here"),
+        (Standing.RELEASED, "was with b"),
     ],
 )
-def test_what_can_be_read_of_it_is_told(phase: Phase, was: str) -> None:
+def test_what_can_be_read_of_it_is_told(standing: Standing, was: str) -> None:
     assert UNREAD.story() == "its record cannot be read"
-    lost = replace(READ, read=replace(GIVEN, phase=phase))
+    lost = replace(READ, read=record(standing))
     assert lost.story() == f"its journal is a copy; as far as it can be read, the task {was}"
 
 
-def test_that_it_was_removed_is_told() -> None:
-    lost = replace(READ, read=replace(GIVEN, phase=Phase.RELEASED, wanted=Wanted.REMOVED))
+def test_removal_of_a_lost_task_is_told() -> None:
+    lost = replace(READ, read=record(OWNED._replace(wanted=Wanted.REMOVED)))
     assert lost.story().endswith("the task was removed")
 
 
-def test_a_person_is_told_what_would_be_lost() -> None:
-    assert (UNREAD.snapshot, READ.snapshot) == (b"", b"s")
-    assert "(as its configuration says, its state is lost)" in UNREAD.meaning("d")
-    assert "it runs on d (from what is in that record), under a new epoch" in READ.meaning("d")
-    assert UNREAD.meaning("d").startswith("of a/Scan, its record cannot be read. Adopted by force, ")
-    assert UNREAD.meaning("d").endswith("`pancakes task forget d/Scan` leaves it there. Nothing was done")
-
-
-def test_a_person_is_told_how_to_decide() -> None:
+def test_person_is_told_how_to_decide() -> None:
     told = UNREAD.undecided("d")
     assert told.startswith("it may run elsewhere, and its record cannot be read. It stays at rest until you decide: ")
-    assert "`pancakes task adopt d/Scan --force` runs it here" in told
-    assert "`pancakes task forget d/Scan` leaves it there" in told
+    assert "`pancakes task recover d/Scan --here` runs it here" in told
+    assert "`pancakes task recover d/Scan --not-here` leaves it there" in told

@@ -5,13 +5,14 @@ from typing import Any, cast
 
 import pytest
 
-from pancakes.durable.hosting import PeerTalk
-from pancakes.durable.messages import AskLease, MayGuard
-from pancakes.durable.record import GuardianId, TaskId
+from pancakes.durable.messages import MayGuard, Prepare
+from pancakes.durable.peer_talk import PeerTalk
+from pancakes.durable.record import TaskId
+from pancakes.durable.register import Epoch, Identity
 from pancakes.errors import PancakesError
 
 ASKED = MayGuard(TaskId("a", "Count"), "count")
-LOOKS = AskLease(TaskId("a", "Count"))
+ASKS = Prepare(TaskId("a", "Count"), "count", Epoch(1, Identity("a")), (Epoch(0, Identity("a")), 3), ())
 
 
 class Speaker:
@@ -57,23 +58,23 @@ def test_a_message_is_for_the_disk_that_the_agent_has_now(talk: PeerTalk, speake
     assert talk.neighbours() == ["b"]
 
 
-@pytest.mark.parametrize("guardian", [("b", "lost"), ("a", "lost"), ("c", "of-c"), ("desk", "")])
+@pytest.mark.parametrize("member", [("b", "lost"), ("a", "lost"), ("c", "of-c"), ("desk", "")])
 def test_nothing_is_said_to_another_disk_or_where_there_is_no_link(
-    talk: PeerTalk, speaker: Speaker, guardian: tuple[str, str]
+    talk: PeerTalk, speaker: Speaker, member: tuple[str, str]
 ) -> None:
-    talk.to_guardian(GuardianId(*guardian), LOOKS)
+    talk.to(Identity(*member), ASKS)
     assert speaker.said == []
 
 
 def test_what_cannot_be_sent_is_lost_and_noted(talk: PeerTalk, speaker: Speaker) -> None:
     speaker.fails = True
     talk.say("b", "client", ASKED)
-    assert speaker.lines == ["MayGuard of a/Count did not reach b: it is full"]
+    assert speaker.lines == ["MayGuard did not reach b: it is full"]
 
 
 def test_what_is_for_a_known_disk_waits_for_a_link_and_what_is_for_any_is_said_again(
     talk: PeerTalk, speaker: Speaker
 ) -> None:
-    talk.to_guardian(GuardianId("far", "of-far"), LOOKS)
+    talk.to(Identity("far", "of-far"), ASKS)
     talk.say("far", "client", ASKED)
-    assert speaker.said == [("far/kernel/Guardian", "of-far")]
+    assert speaker.said == [("far/kernel/Registrar", "of-far")]

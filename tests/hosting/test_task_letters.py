@@ -1,7 +1,6 @@
 """What is known of the letters that have come for one task."""
 
-from pancakes.durable.delivery import Letter
-from pancakes.durable.handoff_events import PacketId
+from pancakes.durable.delivery import Letter, PacketId
 from pancakes.durable.hosting import TaskLetters
 
 MIB = 1024 * 1024

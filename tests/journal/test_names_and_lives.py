@@ -9,8 +9,7 @@ from pathlib import Path
 import pytest
 
 from pancakes import __version__
-from pancakes.durable.census import MOST_AGENTS, BootMemory
-from pancakes.durable.ownership import Boot
+from pancakes.durable.answers import MOST_AGENTS, Boot, BootMemory
 from pancakes.journal import Disk, FileJournal, JournalEntry, JournalError, MemoryJournal, VirtualStore
 from pancakes.journal.journal import MOST_NAMES
 

@@ -28,7 +28,8 @@ from kept.tasks import Count, Drive, Receiver, Sender
 
 from pancakes import __version__
 from pancakes.control import Configure, Create, Guarding, Migrate, Remove, Reschedule, Start, Stop
-from pancakes.durable.record import Phase, Record, TaskId
+from pancakes.durable.record import Record, TaskId
+from pancakes.durable.register import Standing
 from pancakes.durable.snapshot import Snapshot
 from pancakes.journal.file_journal import read_ahead
 from pancakes.journal.journal import JournalEntry, unseal
@@ -73,10 +74,7 @@ type = "kept.Count"
 
 [task.Guarded]
 type = "kept.Count"
-guard = 3
-lease_s = 2.0
-checkpoint_s = 0.5
-guardians = ["b", "c"]
+guard = {{ copies = 3, lease_s = 2.0, checkpoint_s = 0.5, guardians = ["b", "c"] }}
 
 [task.Moved]
 type = "kept.Count"
@@ -196,7 +194,7 @@ def keep_fleet(folder: Path) -> dict[str, Any]:
         b.publish(SYSCTRL, Migrate("Sender", to="c"))
         client: Any = b.component("client")
         place = client.places[TaskId("b", "Sender")]
-        while place.standing.record.phase is not Phase.COMMITTED:
+        while place.record.standing is not Standing.YIELDED:
             assert fleet.dispatcher.step()
         for name in "abc":
             fleet.crash(name)

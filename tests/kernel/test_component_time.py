@@ -150,7 +150,7 @@ def test_a_subscription_that_says_nothing_else_keeps_256_packets(virtual):
     reader = virtual.spawn(ActorCore, "a/client/R")
     reader.subscribe("system", None, lambda packet: None)
     (described,) = virtual.kernel.stream.readings(reader.address)
-    assert (described["limit"], described["keep"]) == (256, "newest")
+    assert (described["limit"], described["queue"]) == (256, "256")
 
 
 def test_what_turns_and_ticks_take_is_added_up_with_the_squares():

@@ -225,11 +225,19 @@ def test_how_a_reader_reads_is_described_and_what_waits_for_it():
         stream.publish(packet(seq=seq))
     first, second = stream.describe("system")
     assert first["address"] == newest.address
-    assert (first["keep"], first["limit"], first["waiting"], first["dropped"]) == ("newest", 3, 3, 2)
-    assert (second["keep"], second["limit"], second["waiting"], second["dropped"]) == ("reliable", 14, 5, 0)
+    assert (first["queue"], first["limit"], first["waiting"], first["dropped"]) == ("3", 3, 3, 2)
+    assert (second["queue"], second["limit"], second["waiting"], second["dropped"]) == ("reliable(7)", 14, 5, 0)
     assert first["waiting_bytes"] == 0, "none is heavy"
     assert [it["channel"] for it in stream.readings(newest.address)] == ["system"]
     assert stream.readings("a/client/Nobody") == []
+
+
+def test_stream_describes_a_queue_as_its_author_wrote_it():
+    stream = InformationStream("a")
+    reader = Reader(stream, "a/client/R", ("system", "pose"), queue="latest")
+    assert stream.readings(reader.address)[0]["queue"] == "latest"
+    stream.subscribe(reader.address, reader.mailbox, Subscription("system", "word", queue_policy(4)))
+    assert (found := stream.readings(reader.address)[0])["queue"] == "latest, 4" and found["limit"] == 5
     with pytest.raises(UnknownChannelError, match="no channel 'sytem', did you mean 'system'"):
         stream.describe("sytem")
 

@@ -225,9 +225,9 @@ class HaltedInACall(Timer):
 
 def test_a_timer_that_is_halted_in_a_call_has_ended_once_that_returns() -> None:
     host = MonotonicClock()
-    timer = HaltedInACall("a", MissionClock(host), host)
+    timer = HaltedInACall("halted", MissionClock(host), host)
     timer.launch()
-    (thread,) = [thread for thread in threading.enumerate() if thread.name == "a-timer"]
+    (thread,) = [thread for thread in threading.enumerate() if thread.name == "halted-timer"]
     begun = threading.Event()
 
     def call() -> None:

@@ -7,7 +7,9 @@ from pathlib import Path
 
 import pytest
 
+from pancakes.config import parse
 from pancakes.errors import ConfigError, PancakesError
+from pancakes.tools.cli.verbs.up import host_start
 from pancakes.tools.launch.fleet_file import Member, ProcessRestart, check_free, fleet_schema, make_fleet
 from pancakes.util.runtime_dir import VARIABLE, Registration, RunningAgent
 
@@ -203,7 +205,7 @@ def test_fleet_file_of_the_documentation(tmp_path: Path) -> None:
 def test_schema_of_a_fleet_file() -> None:
     schema = fleet_schema()
 
-    assert set(schema["properties"]) == {"schema", "fleet", "agent"}
+    assert set(schema["properties"]) == {"schema", "extends", "vars", "fleet", "agent"}
     assert set(schema["properties"]["agent"]["additionalProperties"]["properties"]) == {
         "config",
         "set",
@@ -272,3 +274,56 @@ def test_fleet_file_is_read_past_an_invalid_value(tmp_path: Path) -> None:
         "fleet.toml:5: [agent.a] aftr: unknown key, did you mean 'after'?",
         "fleet.toml:6: [agent.a] restart.at_most: expected newline or end of document after a statement",
     ]
+
+
+def test_variables_of_a_fleet_hold_in_its_files(tmp_path: Path) -> None:
+    write(tmp_path / "a.toml", rest='peers = ["tcp://${gateway}:7401"]\n[vars]\ngateway = "10.0.0.9"')
+    text = '[vars]\ngateway = "10.0.0.5"\nspeed = 2\n[fleet]\nset = { clock.speed = "${speed}" }\n[agent.a]\n'
+
+    (member,) = fleet(tmp_path, text)
+
+    assert (member.config.agent.peers, member.config.clock.speed) == (("tcp://10.0.0.5:7401",), 2.0)
+    write(tmp_path / "a.toml", rest='role = "${gateway}"')
+    (found,) = faults(tmp_path, text)
+    assert found.startswith(f"a.toml:4 (gateway: {tmp_path}/fleet.toml:3): [agent] role: expected one of 'agent'")
+
+
+def test_fleet_file_extends_another(tmp_path: Path) -> None:
+    base = tmp_path / "base"
+    base.mkdir()
+    write(base / "node.toml", "x", 'peers = ["tcp://${gateway}:7401"]')
+    text = 'schema = 1\n[vars]\ngateway = "10.0.0.5"\n[fleet]\nname = "field"\n[agent.a]\nconfig = "node.toml"\n'
+    (base / "fleet.toml").write_text(text)
+
+    (member,) = fleet(tmp_path, 'extends = "base/fleet.toml"\n[vars]\ngateway = "10.0.0.9"\n[fleet]\nname = "yard"\n')
+
+    assert member.path == base / "node.toml"
+    assert (member.config.agent.fleet, member.config.agent.peers) == ("yard", ("tcp://10.0.0.9:7401",))
+
+
+def test_file_that_others_extend_is_no_agent_of_a_folder(tmp_path: Path) -> None:
+    (tmp_path / "common.toml").write_text('schema = 1\n[agent]\nfleet = "field"\n')
+    (tmp_path / "a.toml").write_text('schema = 1\nextends = "common.toml"\n[agent]\nname = "a"\n')
+    (tmp_path / "b.toml").write_text('schema = 1\nextends = "a.toml"\n[agent]\nname = "b"\n')
+
+    members = make_fleet([tmp_path], (), None, None)
+
+    assert [(it.name, it.config.agent.fleet) for it in members] == [("a", "field"), ("b", "field")]
+
+
+def test_ports_within_a_machine_are_those_of_variables(tmp_path: Path) -> None:
+    write(tmp_path / "a.toml", rest='listen = "tcp://127.0.0.1:${port}"\n[vars]\nport = 7401')
+    write(tmp_path / "b.toml", rest='peers = ["tcp://127.0.0.1:${port}"]\n[vars]\nport = 7401')
+
+    members = make_fleet([tmp_path], (), None, None, local=True)
+
+    assert [it.config.agent.peers for it in members] == [(), ("local://a",)]
+
+
+def test_agent_on_another_host_gets_what_its_file_extends(tmp_path: Path) -> None:
+    (tmp_path / "common.toml").write_text('schema = 1\n[agent]\nfleet = "field"\n')
+    (tmp_path / "a.toml").write_text('schema = 1\nextends = "common.toml"\n[agent]\nname = "a"\n')
+
+    (member,) = fleet(tmp_path, '[fleet]\n[agent.a]\nhost = "pi@robot1"\n')
+
+    assert parse(host_start(member, None, False).config, "agent.toml").agent.fleet == "field"

@@ -113,12 +113,12 @@ def test_fork_server_that_ends_at_once_raises_oserror() -> None:
 
 
 def test_hanging_fork_server_is_given_up(server: ForkServer, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("pancakes.tools.launch.process.ANSWER_S", 2.0)
     with open(os.devnull, "wb") as nothing:
         server.fork(["--version"], nothing.fileno(), None).wait(PATIENCE_S)
         (child,) = [it for it in psutil.Process().children() if "pancakes.tools.cli.fork_server" in it.cmdline()]
         child.suspend()
-        with pytest.raises(TimeoutError):
+        with monkeypatch.context() as patch, pytest.raises(TimeoutError):
+            patch.setattr("pancakes.tools.launch.process.ANSWER_S", 0.5)
             server.fork(["--version"], nothing.fileno(), None)
         assert not child.is_running()
         assert server.fork(["--version"], nothing.fileno(), None).wait(PATIENCE_S) == 0

@@ -6,7 +6,7 @@ Each broken rule is convicted in `test_life_search_full.py`.
 import functools
 
 import pytest
-from model.life_search import search
+from register.life_search import search
 
 from pancakes.supervision.lifecycle import State
 from pancakes.supervision.lifecycle_table import TABLE

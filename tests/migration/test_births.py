@@ -4,22 +4,16 @@ from __future__ import annotations
 
 import pytest
 
-from pancakes.durable.ownership import (
-    MOST_ASKED,
-    Birth,
-    BirthFacts,
-    TaskFact,
-    Verdict,
-    birth_of,
-    fact_of,
-    newest_fact,
-    questions,
-)
-from pancakes.durable.record import NO_EPOCH, Epoch, Phase, Record, TaskId
+from pancakes.durable.answers import fact_of, newest_fact
+from pancakes.durable.messages import Fact
+from pancakes.durable.questions import Birth, BirthFacts, Verdict, birth_of
+from pancakes.durable.record import Record, TaskId
+from pancakes.durable.register import Epoch, Identity, Register, Wanted
 
 TASK = TaskId("a", "Scan")
-THERE = TaskFact(TASK, "b", Epoch(1, "a"))
-LATER = TaskFact(TASK, "c", Epoch(2, "b"))
+B, C = Identity("b"), Identity("c")
+THERE = Fact(TASK, Register(Epoch(1, B), 0, ((B,),)))
+LATER = Fact(TASK, Register(Epoch(2, C), 0, ((C,),)))
 
 
 @pytest.mark.parametrize(
@@ -47,34 +41,19 @@ def test_the_decision(facts: BirthFacts, verdict: Verdict, missing: tuple[str, .
 
 
 @pytest.mark.parametrize("known", [(THERE, LATER), (LATER, THERE)])
-def test_of_several_facts_the_newest_is_told(known: tuple[TaskFact, ...]) -> None:
+def test_of_several_facts_the_newest_is_told(known: tuple[Fact, ...]) -> None:
     assert birth_of(BirthFacts(known=known)) == Birth(Verdict.RESTS, fact=LATER)
 
 
-@pytest.mark.parametrize(
-    ("record", "owner", "epoch"),
-    [
-        (Record(TASK, Phase.OWNER, Epoch(1, "b"), Epoch(3, "a"), peer="c"), "b", Epoch(3, "a")),
-        (Record(TASK, Phase.FROZEN, Epoch(1, "b"), Epoch(2, "b"), Epoch(2, "b"), "c"), "b", Epoch(2, "b")),
-        (Record(TASK, Phase.COMMITTED, Epoch(1, "b"), Epoch(1, "b"), Epoch(2, "b"), "c"), "c", Epoch(2, "b")),
-        (Record(TASK, Phase.PREPARED, NO_EPOCH, NO_EPOCH, Epoch(2, "c"), "c"), "c", Epoch(2, "c")),
-        (Record(TASK, Phase.RELEASED, Epoch(1, "b"), Epoch(2, "b"), peer="c"), "c", Epoch(2, "b")),
-        (Record(TASK, seen=Epoch(2, "c"), peer="c"), "c", Epoch(2, "c")),
-        (Record(TASK, seen=Epoch(0, "b")), "", Epoch(0, "b")),
-    ],
-)
-def test_each_record_says_that_the_task_was_born_and_where_it_is(record: Record, owner: str, epoch: Epoch) -> None:
-    assert fact_of("b", record) == TaskFact(TASK, owner, epoch)
+def test_a_record_says_that_the_task_was_born_and_not_its_state() -> None:
+    register = Register(Epoch(1, B), 4, ((B,),), state=b"state", promised=Epoch(3, C))
+    fact = fact_of(Record(TASK, register, B))
+    assert fact.register == register.summary()
+    assert (fact.epoch, fact.removed) == (Epoch(3, C), False)
 
 
-def test_an_agent_that_has_never_heard_of_it_knows_nothing() -> None:
-    assert fact_of("b", Record(TASK)) is None
+def test_of_facts_under_one_epoch_the_removal_is_the_newest() -> None:
+    gone = Fact(TASK, THERE.register._replace(no=1, wanted=Wanted.REMOVED))
     assert newest_fact([None]) is None
     assert newest_fact([None, LATER, THERE]) == LATER
-
-
-def test_all_tasks_are_asked_about_each_once() -> None:
-    task_ids = [TaskId("a", f"T{number}") for number in range(2 * MOST_ASKED + 1)]
-    asked = questions(task_ids)
-    assert [len(it.task_ids) for it in asked] == [MOST_ASKED, MOST_ASKED, 1]
-    assert [task_id for it in asked for task_id in it.task_ids] == task_ids
+    assert newest_fact([gone, THERE]) == newest_fact([THERE, gone]) == gone

@@ -4,16 +4,11 @@ from __future__ import annotations
 
 import pytest
 
-from pancakes.durable.ownership import (
-    MOST_JOURNALS,
-    Boot,
-    BootRemembered,
-    BootsSeen,
-    CopyVerdict,
-    TaskFact,
-    copied_task,
-)
-from pancakes.durable.record import Epoch, TaskId
+from pancakes.durable.answers import MOST_JOURNALS, Boot, BootsSeen
+from pancakes.durable.messages import Fact
+from pancakes.durable.questions import CopyVerdict, copied_task
+from pancakes.durable.record import TaskId
+from pancakes.durable.register import Epoch, Identity, Register
 
 MET = Boot("disk", 5, "fifth")
 
@@ -60,13 +55,14 @@ def test_the_newest_journals_of_an_agent_are_remembered() -> None:
 
 
 def test_what_is_told_of_another_journal_says_nothing() -> None:
-    assert not Boot("disk", 1, "first").is_before(BootRemembered("another disk", 9, "ninth").boot)
-    assert Boot("disk", 1, "first").is_before(BootRemembered("disk", 9, "ninth").boot)
+    assert not Boot("disk", 1, "first").is_before(Boot("another disk", 9, "ninth"))
+    assert Boot("disk", 1, "first").is_before(Boot("disk", 9, "ninth"))
 
 
 TASK = TaskId("a", "Scan")
-OURS = Epoch(3, "a")
-LATER, SAME = TaskFact(TASK, "b", Epoch(4, "a")), TaskFact(TASK, "a", OURS)
+A, B = Identity("a"), Identity("b")
+OURS = Epoch(3, A)
+LATER, SAME = Fact(TASK, Register(Epoch(4, B), 0, ((B,),))), Fact(TASK, Register(OURS, 0, ((A,),)))
 
 
 @pytest.mark.parametrize(
@@ -85,7 +81,7 @@ LATER, SAME = TaskFact(TASK, "b", Epoch(4, "a")), TaskFact(TASK, "a", OURS)
     ],
 )
 def test_what_becomes_of_a_task_on_an_old_copy(
-    sayers: str, told: str, known: list[TaskFact], verdict: CopyVerdict, missing: tuple[str, ...]
+    sayers: str, told: str, known: list[Fact], verdict: CopyVerdict, missing: tuple[str, ...]
 ) -> None:
     copied = copied_task(OURS, set(sayers), set(told), known)
     assert (copied.verdict, copied.missing) == (verdict, missing)

@@ -8,7 +8,7 @@ from msgspec.structs import replace
 from pancakes.control import Refusal
 from pancakes.durable.messages import Solicit
 from pancakes.durable.negotiation import Capability, Reservation, Reservations, compatible
-from pancakes.durable.record import Epoch, TaskId
+from pancakes.durable.record import TaskId
 from pancakes.migration import ActiveTasks, CostFacts, HostLoad
 
 SCAN = TaskId("agent1", "ScanTarget")
@@ -96,8 +96,8 @@ def test_versions(offered: str, here: str, may: bool) -> None:
 def test_a_slot_is_kept_until_it_expires_or_is_freed() -> None:
     home = TaskId("agent1", "GoHome")
     slots = Reservations()
-    slots.keep(SCAN, Reservation("agent1", Epoch(1, "agent1"), until_s=105.0))
-    slots.keep(home, Reservation("agent1", Epoch(1, "agent1"), until_s=106.0))
+    slots.keep(SCAN, Reservation("agent1", until_s=105.0))
+    slots.keep(home, Reservation("agent1", until_s=106.0))
     assert slots.kept(104.9) == (home, SCAN)
     assert slots.kept(105.0) == (home,)
     slots.free(home)
@@ -108,3 +108,26 @@ def test_the_paper_s_cost_is_the_number_of_active_tasks() -> None:
     cost = ActiveTasks()
     assert cost.terms(CostFacts(HostLoad(active_tasks=3))) == {"active tasks": 3.0}
     assert cost(CostFacts(HostLoad(active_tasks=3))) == 3.0
+
+
+@pytest.mark.parametrize(
+    ("reserve_s", "least_s", "why"),
+    [
+        (60.0, 30.0, ""),
+        (59.0, 30.0, "has a reserve of 59 s, too near to the 30 s at which the task would move on"),
+        (0.0, 0.0, "must go to a dock itself: its reserve is 0 s"),
+        (None, 30.0, "its reserve is not known: a task of the type energy.reserve tells it"),
+        (None, None, ""),
+        (-5.0, None, ""),
+    ],
+)
+def test_a_robot_needs_twice_the_reserve_at_which_the_task_would_move_on(
+    reserve_s: float | None, least_s: float | None, why: str
+) -> None:
+    refusal = replace(ROBOT, reserve_s=reserve_s).refusal_of(replace(REQUEST, least_reserve_s=least_s))
+    assert (refusal.text if refusal is not None else "") == why
+
+
+def test_what_has_no_battery_needs_no_reserve() -> None:
+    on_mains = replace(ROBOT, devices=("motors", "pose"), battery_level=None)
+    assert on_mains.refusal_of(replace(REQUEST, least_reserve_s=30.0)) is None

@@ -1,45 +1,41 @@
-"""What an agent remembers of the claims of others: the highest on each task, and of so many tasks."""
+"""What an agent remembers of the claims of others: of each its highest one on each task, and a limited number."""
 
 from __future__ import annotations
 
 import pytest
 
-from pancakes.durable import ownership
-from pancakes.durable.ownership import Claims, OwnerClaim, claims_of, in_packets
-from pancakes.durable.record import Epoch, Phase, Record, TaskId
+from pancakes.durable import answers
+from pancakes.durable.answers import Claims
+from pancakes.durable.messages import Fact
+from pancakes.durable.record import TaskId
+from pancakes.durable.register import Epoch, Identity, Register
 
 
-def claimed(name: str, epoch: int) -> OwnerClaim:
-    return OwnerClaim(TaskId("a", name), Epoch(epoch, "a"))
+def claimed(name: str, number: int) -> Fact:
+    owner = Identity("b")
+    return Fact(TaskId("a", name), Register(Epoch(number, owner), 0, ((owner,),)))
 
 
-def test_the_highest_claim_on_a_task_counts_and_of_two_equal_ones_the_later() -> None:
+def test_claims_keep_the_highest_on_each_task() -> None:
     claims = Claims()
     claims.heard("b", claimed("Scan", 3))
-    claims.heard("c", claimed("Scan", 2))
-    assert claims.of(TaskId("a", "Scan")) == ("b", claimed("Scan", 3))
-    claims.heard("c", claimed("Scan", 3))
-    assert claims.by_peer() == {"c": {TaskId("a", "Scan"): claimed("Scan", 3)}}
-    assert claims.of(TaskId("b", "Scan")) is None
+    claims.heard("b", claimed("Scan", 2))
+    claims.heard("c", claimed("Scan", 1))
+    task_id = TaskId("a", "Scan")
+    assert claims.by_peer() == {"b": {task_id: claimed("Scan", 3)}, "c": {task_id: claimed("Scan", 1)}}
 
 
-def test_of_too_many_tasks_the_first_is_forgotten(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(ownership, "MOST", 2)
+def test_claims_on_too_many_tasks_forget_the_first(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(answers, "MOST_CLAIMS", 2)
     claims = Claims()
-    for name in ("One", "Two"):
+    for name in ("One", "Two", "Three"):
         claims.heard("b", claimed(name, 1))
-    assert len(claims.by_peer()["b"]) == 2
-    claims.heard("b", claimed("Three", 1))
     assert [task_id.name for task_id in claims.by_peer()["b"]] == ["Two", "Three"]
 
 
-def test_what_is_at_rest_for_a_hand_off_is_owned_still_and_what_was_given_away_is_not() -> None:
-    records = [Record(TaskId("a", phase.value), phase, epoch=Epoch(1, "a")) for phase in Phase]
-    assert [it.task_id.name for it in claims_of(records)] == [Phase.OWNER.value, Phase.FROZEN.value]
-
-
-def test_many_claims_take_several_packets() -> None:
-    claims = [claimed(f"Scan{n}", n) for n in range(ownership.IN_ONE_PACKET + 1)]
-    first, second = in_packets(claims)
-    assert (*first.claims, *second.claims) == tuple(claims) and len(second.claims) == 1
-    assert list(in_packets([])) == []
+def test_claims_of_too_many_agents_forget_the_most_silent(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(answers, "MOST_AGENTS", 2)
+    claims = Claims()
+    for peer in ("b", "c", "b", "d"):
+        claims.heard(peer, claimed("Scan", 1))
+    assert list(claims.by_peer()) == ["b", "d"]

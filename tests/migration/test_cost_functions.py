@@ -9,6 +9,7 @@ import pytest
 from msgspec.structs import replace
 
 from pancakes.control import Refusal
+from pancakes.devices import Reserve
 from pancakes.durable.messages import Solicit
 from pancakes.durable.negotiation import Capability
 from pancakes.durable.record import TaskId
@@ -21,6 +22,7 @@ from pancakes.migration import (
     EmptyBattery,
     HostLoad,
     RoundTrip,
+    ShortReserve,
     Weighted,
     cost_of,
     cost_text,
@@ -146,3 +148,24 @@ def test_all_of_them_come_by_entry_point() -> None:
     assert {name: found[name].name for name in ("tasks", "battery", "load", "link", "weighted")} == {
         name: name for name in ("tasks", "battery", "load", "link", "weighted")
     }
+
+
+def test_the_shorter_the_reserve_the_dearer_and_the_mains_are_free() -> None:
+    def cost(seconds: float) -> float:
+        return ShortReserve()(CostFacts(ROBOT, {"reserve": Reserve(seconds, 0.5)}))
+
+    assert [cost(600.0), cost(60.0), cost(6.0)] == pytest.approx([0.1, 1.0, 10.0])
+    assert ShortReserve()(CostFacts(replace(ROBOT, battery_level=None))) == 0.0
+
+
+@pytest.mark.parametrize(
+    ("readings", "why"),
+    [
+        ({"reserve": Reserve(0.0, 0.0)}, "it must go to a dock itself: its reserve is 0 s"),
+        ({"reserve": Reserve(-7.0, -0.1)}, "its reserve is -7 s"),
+        ({}, "its reserve has not been read yet"),
+    ],
+)
+def test_a_robot_without_a_reserve_does_not_bid(readings: dict[str, Reserve], why: str) -> None:
+    with pytest.raises(MigrationError, match=why):
+        ShortReserve()(CostFacts(ROBOT, readings))

@@ -10,25 +10,25 @@ import pytest
 from pancakes.migration import GuardRule
 
 
-@pytest.mark.parametrize("guard", [3, 5])
+@pytest.mark.parametrize("copies", [3, 5])
 @pytest.mark.parametrize(
     "times", [{"lease_s": 2.0}, {"lease_s": 600.0}, {"checkpoint_s": 0.05}, {"checkpoint_s": 3600}]
 )
-def test_it_is_guarded_by_three_or_five_with_leases_of_two_seconds_to_ten_minutes(guard: int, times: Any) -> None:
-    assert msgspec.convert({"guard": guard, **times}, GuardRule).guard == guard
+def test_it_is_guarded_by_three_or_five_with_leases_of_two_seconds_to_ten_minutes(copies: int, times: Any) -> None:
+    assert msgspec.convert({"copies": copies, **times}, GuardRule).copies == copies
 
 
 @pytest.mark.parametrize(
     "wrong",
     [
-        {"guard": 1},
-        {"guard": 4},
-        {"guard": 7},
-        {"guard": 3, "lease_s": 1.99},
-        {"guard": 3, "lease_s": 600.01},
-        {"guard": 3, "checkpoint_s": 0.049},
-        {"guard": 3, "checkpoint_s": 3600.1},
-        {"guard": 3, "takeover": "never"},
+        {"copies": 1},
+        {"copies": 4},
+        {"copies": 7},
+        {"copies": 3, "lease_s": 1.99},
+        {"copies": 3, "lease_s": 600.01},
+        {"copies": 3, "checkpoint_s": 0.049},
+        {"copies": 3, "checkpoint_s": 3600.1},
+        {"copies": 3, "takeover": "never"},
     ],
 )
 def test_no_other_rule_is_one(wrong: Any) -> None:

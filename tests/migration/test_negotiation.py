@@ -169,10 +169,12 @@ def test_where_the_hand_off_fails_the_next_bidder_is_tried_until_there_is_none()
 
 
 def test_without_neighbours_it_is_decided_at_once() -> None:
-    assert "there is no neighbour that hosts tasks" in message_of(negotiation().begin(100.0))
-    assert "agent9 is no neighbour" in message_of(negotiation("a", to="agent9").begin(100.0))
+    unlinked = "(are their addresses in `peers` of [agent]?)"
+    assert message_of(negotiation().begin(100.0)).endswith(unlinked)
+    assert message_of(negotiation(to="agent9").begin(100.0)).endswith(unlinked)
+    assert message_of(negotiation("a", to="agent9").begin(100.0)).endswith("agent9 is not linked to agent1, only a")
     mistyped = message_of(negotiation("agent2", to="agnt2").begin(100.0))
-    assert mistyped.endswith("agnt2 is no neighbour that hosts tasks, did you mean 'agent2'?")
+    assert mistyped.endswith("agnt2 is not linked to agent1, did you mean 'agent2'?")
 
 
 def test_to_the_agent_that_has_it_is_no_migration() -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from pancakes.devices import Battery
+from pancakes.devices import Battery, Reserve
 from pancakes.migration import MigrationRule
 
 
@@ -38,3 +38,16 @@ def test_a_reading_without_a_number_in_the_field_asks_for_none(reading: object) 
 def test_the_field_may_be_another() -> None:
     assert MigrationRule("battery", below=0.2, field="charge").met_by({"level": 0.9, "charge": 0.1})
     assert MigrationRule("battery", below=0.2).met_by(Battery(7.4, 0.1))
+
+
+def test_a_rule_on_the_reserve_reads_its_seconds_unless_it_names_another_field() -> None:
+    rule = MigrationRule("reserve", below=30.0)
+    assert (rule.field, rule.least_reserve_s, rule.least_level) == ("seconds", 30.0, None)
+    assert rule.met_by(Reserve(29.0, 0.5)) and not rule.met_by(Reserve(30.0, 0.0))
+    by_level = MigrationRule("reserve", below=0.1, field="level")
+    assert by_level.least_reserve_s == 0.0 and by_level.met_by(Reserve(500.0, 0.05))
+
+
+def test_only_a_rule_on_the_level_says_how_full_a_battery_must_be() -> None:
+    assert MigrationRule("battery", below=0.2).least_level == 0.2
+    assert MigrationRule("battery", below=7.0, field="voltage_v").least_level is None

@@ -32,7 +32,7 @@ class Wheel(Task):
 
 
 def device(cls: type, broker: Mosquitto, hold_after_s: float = 60.0, **settings: Any) -> dict[str, Any]:
-    parts = {"type": cls, "hold_after_s": hold_after_s, "settings": {"broker": broker.address, **settings}}
+    parts = {"type": cls, "hold_after_mission_s": hold_after_s, "settings": {"broker": broker.address, **settings}}
     return {"device": parts}
 
 

@@ -152,7 +152,7 @@ def test_a_device_that_says_that_it_is_offline_is_named(broker: Mosquitto) -> No
 
 def test_a_sensor_that_falls_silent_is_named_until_it_speaks(broker: Mosquitto) -> None:
     air = device(MqttTemperature, broker, topic="t")["device"]
-    with threaded_agent("a", devices={"device": {**air, "silent_s": 0.3}}) as agent:
+    with threaded_agent("a", devices={"device": {**air, "silent_mission_s": 0.3}}) as agent:
         agent.wait_until(lambda: any("no reading has come for" in line for line in agent.lines("warning")))
         broker.pub("t", "3")
         agent.wait_until(lambda: "device: readings come again" in agent.lines("info"))

@@ -20,7 +20,7 @@ from pancakes.mesh.admission import AT_ONCE, MOST_UNFINISHED, Handshakes
 from pancakes.mesh.transport import SocketTransport
 from pancakes.security.authority import Authority, new_key, pem_of_key
 from pancakes.security.key_store import KEY, write_private
-from pancakes.sim.hardware_bus import BusServer, Drive, Request, encode
+from pancakes.sim.hardware_bus import BusServer, Drive, Requested, encode
 from pancakes.util.plugins import Plugins
 
 
@@ -107,7 +107,7 @@ def test_a_certificate_that_vouches_for_itself_is_refused(rig, listening):
 
 
 def test_the_bus_of_a_simulated_world_is_for_the_fleet_alone(rig):
-    asked: list[Request] = []
+    asked: list[Requested] = []
     world = rig.transport("world", "environment")
     server = BusServer(world, lambda do: do(), asked.append, lambda *said: None)
     address = server.listen(rig.listen_at)
@@ -286,7 +286,7 @@ def test_a_certificate_without_a_name_is_none_whoever_has_signed_it(rig, listeni
 def test_without_keys_there_is_no_connection_over_tcp_unless_a_person_says_so(rig):
     bare = SocketTransport(rig.clock, "a", Plugins())
     rig.transports.append(bare)
-    with pytest.raises(PancakesError, match=r"'tcp://127\.0\.0\.1:0' needs keys: run pancakes fleet join"):
+    with pytest.raises(PancakesError, match=r"'tcp://127\.0\.0\.1:0' needs keys: run pancakes keys join"):
         bare.listen(rig.listen_at, rig.ear)
     here = rig.ear()
     bare.dial("tcp://127.0.0.1:9", here)

@@ -235,7 +235,7 @@ def test_gps_dials_again_when_the_connection_has_died_without_a_word() -> None:
     gpsd = Mute()
     try:
         gps = device(gpsd.port)["gps"]
-        with threaded_agent("a", devices={"gps": {**gps, "silent_s": 0.5}}) as agent:
+        with threaded_agent("a", devices={"gps": {**gps, "silent_mission_s": 0.5}}) as agent:
             gpsd.take()
             agent.wait_for(Pose)
             agent.wait_until(lambda: agent.ask(Describe("gps")).result["rest"] == "silent")

@@ -36,7 +36,7 @@ def devices(robot: KheperaBench, hold_after_s: float = 30.0, rate_hz: float = 20
     settings = {"port": str(robot.link)}
     sensors = {"ir": KheperaInfrared, "sonar": KheperaSonar, "battery": KheperaBattery}
     return {
-        "motors": {"type": KheperaMotors, "hold_after_s": hold_after_s, "settings": settings},
+        "motors": {"type": KheperaMotors, "hold_after_mission_s": hold_after_s, "settings": settings},
         **{name: {"type": cls, "rate_hz": rate_hz, "settings": settings} for name, cls in sensors.items()},
     }
 

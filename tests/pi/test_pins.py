@@ -71,7 +71,7 @@ def test_a_distance_is_measured_by_the_time_of_the_echo(pins: MockFactory) -> No
 
 
 def test_wheels_turn_by_pwm_and_stand_at_the_safe_hold(pins: MockFactory) -> None:
-    device = {"type": PinMotors, "hold_after_s": 30.0, "settings": WHEELS}
+    device = {"type": PinMotors, "hold_after_mission_s": 30.0, "settings": WHEELS}
     with threaded_agent("a", devices={"wheels": device}, tasks={"Drive": Drive}) as agent:
         for twist, wanted in (
             (Twist(0.25, 0.0), [0.5, 0.0, 0.5, 0.0]),
@@ -89,7 +89,7 @@ def test_wheels_turn_by_pwm_and_stand_at_the_safe_hold(pins: MockFactory) -> Non
 
 
 def test_wheels_stand_where_the_agent_ends_and_their_pins_are_free(pins: MockFactory) -> None:
-    device = {"type": PinMotors, "hold_after_s": 30.0, "settings": WHEELS}
+    device = {"type": PinMotors, "hold_after_mission_s": 30.0, "settings": WHEELS}
     with threaded_agent("a", devices={"wheels": device}, tasks={"Drive": Drive}) as agent:
         agent.task("Drive").publish(CTRL, Twist(0.25, 0.0))
         agent.wait_until(lambda: levels(pins, 17, 22) == [0.5, 0.5])

@@ -6,7 +6,7 @@ import math
 import pytest
 from mcap.reader import make_reader
 
-from pancakes.devices import Infrared, Pose, Sonar
+from pancakes.devices import Infrared, LaserScan, Pose, Pose3D, Sonar
 from pancakes.events import Event, LogLine
 from pancakes.packet import Packet, known_types
 from pancakes.recording.foxglove_messages import Viewer
@@ -102,6 +102,8 @@ def shown():
         Packet("system", "world_state", "a/client/World", "", 1.5, 1, world),
         Packet("system", "ir", "a/device/ir", "", 1.5, 1, Infrared((1.0, 0.0, -1.0), (0.2, 0.1, 0.3), 0.3)),
         Packet("system", "sonar", "a/device/sonar", "", 1.5, 1, Sonar((0.0,), (0.5,), 4.0)),
+        Packet("system", "laser_scan", "a/device/laser", "", 1.5, 1, LaserScan(-0.5, 0.5, (500, 4000, 0), 4.0)),
+        Packet("system", "pose_3d", "a/device/place", "", 1.5, 1, Pose3D("world", 1.0, 2.0, 3.0)),
         Packet("log", "line", "a/client/Watch", "", 1.5, 1, LogLine("warning", "the lid is open")),
         Packet("log", "event", "a/client", "", 1.5, 1, Event("task_started", {"service": "client", "task": "Watch"})),
     ]
@@ -173,6 +175,14 @@ def test_times_are_those_of_the_messages_and_all_is_in_the_frame_of_the_world_or
     assert sum(turned[axis] ** 2 for axis in "xyzw") == pytest.approx(1.0)
 
 
+def test_a_laser_scan_and_a_pose_in_space_are_drawn_as_they_are(shown):
+    told = {message.topic: json.loads(message.data) for message in shown}
+    scan = told["/viewer/a/laser"]
+    assert (scan["start_angle"], scan["end_angle"]) == (-0.5, 0.5)
+    assert (scan["ranges"], scan["intensities"]) == ([0.5, 4.0, 0.0], [1.0, 0.0, 0.0])
+    assert told["/viewer/a/place"]["pose"]["position"] == {"x": 1.0, "y": 2.0, "z": 3.0}
+
+
 def test_a_ring_of_sensors_is_a_scan_that_says_where_something_is_seen(shown):
     told = {message.topic: json.loads(message.data) for message in shown}
     ring = told["/viewer/a/ir"]
@@ -204,6 +214,7 @@ def test_a_file_says_that_its_messages_and_schemas_are_json(shown, tmp_path):
     assert {schema.encoding for schema in summary.schemas.values()} == {"jsonschema"}
     assert {channel.message_encoding for channel in summary.channels.values()} == {"json"}
     assert {channel.topic for channel in summary.channels.values()} == {
-        "/viewer/a/ir", "/viewer/a/log", "/viewer/a/pose", "/viewer/a/pose/path", "/viewer/a/pose/transform",
+        "/viewer/a/ir", "/viewer/a/laser", "/viewer/a/log", "/viewer/a/place", "/viewer/a/pose",
+            "/viewer/a/pose/path", "/viewer/a/pose/transform",
         "/viewer/a/sonar", "/viewer/a/world",
     }  # fmt: skip

@@ -8,6 +8,7 @@ import pytest
 from numpy.typing import NDArray
 from recording.files import made_files
 from replay.runs_again import recorded, run_again
+from services.asking import Asker, Driver, Go
 
 from pancakes.control import Configure, Describe, Migrate, Reply, Reschedule, Restart, Start, Stop
 from pancakes.devices import Load, Pose, Temperature
@@ -228,7 +229,7 @@ class Asks(Task):
         self._asked = set()
 
     @every(hz=2)
-    def ask(self, tick):
+    def ask_now(self, tick):
         if self.settings.twice:
             self.publish("sysctrl", Describe("log/"))
         self._asked.add(self.publish("sysctrl", Describe("client/")).seq)
@@ -248,6 +249,20 @@ def test_answers_are_matched_to_renumbered_questions(fleet, tmp_path):
     again = run_again(tmp_path, "Asks", Asks, twice=True)
     counts = {(key.type): stream for key, stream in again.comparison.streams.items() if key.type == "load"}
     assert counts["load"].equal == counts["load"].recorded >= 3
+
+
+@pytest.mark.parametrize("to", ["task:a/Driver", "a/client/Driver"])
+@pytest.mark.parametrize("task", [Asker, Driver])
+def test_requests_and_their_answers_come_again(fleet, tmp_path, task, to):
+    tasks = {cls.__name__: {"type": cls, "start": False} for cls in (Asker, Driver)}
+    agent = fleet.start("a", tasks=tasks)
+    with recorded(tmp_path, agent):
+        assert agent.ask(Start("Driver")).ok and agent.ask(Start("Asker")).ok
+        fleet.run_for(0.5)
+        agent.publish("system", Go("Drive", to, 3), to="a/client/Asker")
+        fleet.run_for(6.0)
+    again = run_again(tmp_path, task.__name__, task)
+    assert again.comparison.differences == [] and len(again.outcome.outputs) >= 1
 
 
 class Hears(Task):

@@ -14,6 +14,8 @@ from pancakes.recording.records import RecordedPacket
 from pancakes.recording.task_statistics import OneLink, OneTask, TaskFigures, TimerFigures
 from pancakes.sim.world_state import BodyState, WorldState
 from pancakes.tools.report.findings import Findings
+from pancakes.tools.report.performance import Rates, TimerRates
+from pancakes.tools.report.summary import Summary
 from pancakes.tools.report.time_series import MOST_POINTS, MOST_SLOTS, Counts, Distribution, TimeSeries
 
 S = 1_000_000_000
@@ -98,6 +100,80 @@ def test_timeline_has_a_gap_while_an_agent_is_gone(book):
     timer = found.rates.timers["a", "client/Scan", "tick"]
     assert timer.ticks == 10 + 25 + 10
     assert timer.at[0].achieved_hz is None or timer.at[0].achieved_hz == pytest.approx(10.0)
+
+
+def taken(book, reason="the other side closed the connection"):
+    """Record that a runs Scan until 5 s, that b loses the link, and that guardians have b run Scan at 7 s."""
+    book.event(1.0, "a", "task_started", task="Scan", service="client", epoch=0)
+    book.event(1.0, "b", "tick")
+    book.event(5.0, "a", "tick")
+    book.event(5.1, "b", "peer_down", peer="a", reason=reason)
+    book.event(20.0, "b", "tick")
+
+
+def test_lost_agent_is_found(book):
+    taken(book)
+    book.event(7.0, "b", "task_started", task="Scan", service="client", epoch=1)
+    book.event(7.0, "b", "taken_over", task="Scan", source_agent="a", by="b")
+    ledger = {"task_id": SCAN, "source": "a", "asked_by": "guardians", "cost": "tasks", "outcome": "moved"}
+    book.event(7.1, "b", "migration", **ledger, winner="b", lines=[], duration_s=0.5)
+    found = book.find()
+    (loss,) = found.losses.losses
+    assert (loss.agent, loss.at_s) == ("a", 5.0)
+    (on_a,) = found.timeline.lanes["a", "client", "Scan"].spans
+    (on_b,) = found.timeline.lanes["b", "client", "Scan"].spans
+    assert (on_a.to_s, on_a.ended, on_b.ended) == (5.0, "lost", "")
+    (entry,) = [it for it in found.events.grave if it.kind == "agent_lost"]
+    assert entry.text == (
+        "a was lost: its recording ends here, and the link to it ended on b (the other side closed the connection)"
+    )
+    it = Summary.of(found)
+    assert (it.errors, it.lost_agents, it.moved, it.taken_over) == (1, ("a",), 1, 1)
+    assert found.moves.moves[0].outcome == "taken over"
+
+
+def test_lost_agent_that_comes_back_was_lost(book):
+    taken(book)
+    book.see(12.0, "a", "a/log/Recorder", Event("recording_started", {"path": "a.mcap"}), "event", "log")
+    book.event(12.5, "a", "task_started", task="Scan", service="client", epoch=2)
+    found = book.find()
+    assert [(loss.agent, loss.at_s) for loss in found.losses.losses] == [("a", 5.0)]
+    assert [span.ended for span in found.timeline.lanes["a", "client", "Scan"].spans] == ["lost", ""]
+
+
+@pytest.mark.parametrize("case", ["stops", "cut off", "shut down", "long after"])
+def test_agent_that_is_not_lost(book, case):
+    taken(book, {"stops": "a stopped"}.get(case, "it is silent"))
+    if case == "cut off":  # its recording goes on
+        book.event(8.0, "a", "tick")
+    elif case == "shut down":
+        book.event(4.9, "a", "asked", what="shutdown", by="cli-1")
+    elif case == "long after":
+        book.entries = [it for it in book.entries if it.time_ns < 5.05 * S]
+        book.event(45.0, "b", "peer_down", peer="a", reason="it is silent")
+    found = book.find()
+    assert found.losses.losses == []
+    assert not [it for it in found.events.grave if it.kind == "agent_lost"]
+
+
+def test_terminals_are_not_between_agents(book):
+    for name in ("cli-25166-436cad", "cli-25166-436cad.1", "ann.1a2b3c4d"):
+        book.see(1.0, "a", "a/client", Twist(0.1, 0.0), "reply", "sysctrl", to=name)
+        packet = book.see(1.0, "b", f"{name}/x", Twist(0.1, 0.0), "stop", "sysctrl", to="a")
+        book.arrive(1.1, "a", packet)
+    book.see(2.0, "a", "a/client", Twist(0.1, 0.0), "motors", to="unrecorded")
+    traffic = book.find().traffic
+    assert traffic.links.names() == ["a → unrecorded"]
+    assert traffic.channels.names() == ["system"]
+    assert traffic.terminals == 9
+
+
+def test_timers_of_a_task_have_different_names():
+    rates = Rates()
+    for task, timer in (("client/Patrol", "drive"), ("client/Patrol", "tell"), ("client/Scan", "tick")):
+        rates.timers["a", task, timer] = TimerRates("a", task, "", timer)
+    names = [rates.name(timer) for timer in rates.timers.values()]
+    assert names == ["client/Patrol.drive", "client/Patrol.tell", "client/Scan"]
 
 
 def test_findings_are_in_mission_time(book):

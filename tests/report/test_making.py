@@ -178,6 +178,29 @@ def test_report_of_a_cut_recording(recording, tmp_path):
     assert "a.mcap is cut off" in text and "a/Scan" in text
 
 
+def test_report_says_when_a_cut_recording_goes_on(recording, tmp_path):
+    entries = list(mission("a"))
+    first, part = written(tmp_path / "a.mcap", entries[:100]), tmp_path / "a.002.mcap"
+    first.write_bytes(first.read_bytes()[:-400])
+    written(part, [entry for entry in entries if entry.time_ns >= 41 * S])
+    made = make_report(tmp_path, tmp_path / "out")
+    (note,) = made.notes
+    assert re.fullmatch(r".*/a\.mcap is cut off at [12]\d\.\d s; a\.002\.mcap goes on at 41\.0 s", note)
+    part.unlink()
+    assert make_report(tmp_path, tmp_path / "out").notes[0].endswith("this report lacks the rest")
+
+
+def test_report_crosses_out_an_agent_that_was_lost(tmp_path):
+    folder = tmp_path / "run"
+    folder.mkdir()
+    written(folder / "a.mcap", [entry for entry in mission("a") if entry.time_ns < 20 * S])
+    said = Packet("log", "event", "b/kernel", "", 20, 1, Event("peer_down", {"peer": "a", "reason": "it is silent"}))
+    written(folder / "b.mcap", [RecordedPacket(20 * S, "b", said), *(it for it in mission("b") if it.time_ns > 21 * S)])
+    made = make_report(folder, tmp_path / "out")
+    assert "a was lost" in (tmp_path / "out" / "tasks.svg").read_text()
+    assert "Crosses: failures, and agents that were lost." in made.page.read_text()
+
+
 def test_report_of_a_fleet_without_motion(tmp_path):
     say = [
         RecordedPacket(n * S, "solo", Packet("log", "line", "solo/x", "", n, n, LogLine("info", "hm")))

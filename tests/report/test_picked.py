@@ -9,7 +9,7 @@ from report.commanded import command
 
 from pancakes.recording.clock_alignment import MissionTime
 from pancakes.tools.report.command_latency import MOST_ACTUATORS, MOST_EVEN_EACH, MOST_SLOW, PickedCommands, Reactions
-from pancakes.tools.report.html_report import picker_html
+from pancakes.tools.report.picker import picker_html
 
 
 @pytest.fixture

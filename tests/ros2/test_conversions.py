@@ -4,6 +4,7 @@ import math
 from types import SimpleNamespace
 
 import pytest
+from devices.jpegs import jpeg
 from pancakes_ros2.conversion import (
     BATTERY,
     BOOL,
@@ -23,10 +24,27 @@ from pancakes_ros2.conversion import (
     read_battery,
     read_range,
 )
+from pancakes_ros2.sensor_conversion import FIX, IMAGE, IMU, JOINTS, TRANSFORM, TRANSFORMS
 
-from pancakes.devices import Battery, Infrared, Motion, Pose, Sonar, Temperature, Twist
+from pancakes.devices import (
+    MOST_JPEG_BYTES,
+    Battery,
+    CameraFrame,
+    Encoders,
+    GpsFix,
+    Imu,
+    Infrared,
+    LaserScan,
+    Motion,
+    Pose,
+    Pose3D,
+    Sonar,
+    Temperature,
+    Twist,
+)
 
-NOW = Moment(12, 34, "map")
+NOW = Moment(12, 34, "map", "base_link")
+HALF = math.sqrt(0.5)
 
 
 def space(**fields):
@@ -45,6 +63,34 @@ def twist():
     return space(linear=space(x=0.0, y=0.0, z=0.0), angular=space(x=0.0, y=0.0, z=0.0))
 
 
+def turn():
+    return space(x=0.0, y=0.0, z=0.0, w=1.0)
+
+
+def vector():
+    return space(x=0.0, y=0.0, z=0.0)
+
+
+def transform():
+    return space(header=header(), child_frame_id="", transform=space(translation=vector(), rotation=turn()))
+
+
+def imu():
+    return space(
+        header=header(),
+        orientation=turn(),
+        orientation_covariance=[0.0] * 9,
+        angular_velocity=vector(),
+        angular_velocity_covariance=[0.0] * 9,
+        linear_acceleration=vector(),
+        linear_acceleration_covariance=[0.0] * 9,
+    )
+
+
+def fix():
+    return space(header=header(), status=space(status=0, service=0), position_covariance=[0.0] * 9)
+
+
 EMPTY = {
     POSE: lambda: space(header=header(), pose=pose()),
     ODOMETRY: lambda: space(header=header(), pose=space(pose=pose())),
@@ -56,6 +102,12 @@ EMPTY = {
     RANGE: lambda: space(header=header()),
     BOOL: lambda: space(data=False),
     TEMPERATURE: lambda: space(header=header(), temperature=0.0),
+    JOINTS: lambda: space(header=header()),
+    IMU: imu,
+    FIX: fix,
+    IMAGE: lambda: space(header=header()),
+    TRANSFORM: transform,
+    TRANSFORMS: lambda: space(transforms=[transform()]),
 }
 BODIES = {
     "pose": Pose(1.5, -2.0, 3.0),
@@ -65,6 +117,12 @@ BODIES = {
     "sonar": Sonar((-0.5, 0.0, 0.5), (1.0, 4.0, 2.0), 4.0),
     "motion": Motion(True),
     "temperature": Temperature(21.5),
+    "encoders": Encoders(("left", "right"), (1.5, -2.0), (0.1, 0.2)),
+    "imu": Imu((0.0, 0.0, 0.1), (0.0, 0.0, 9.81), (0.0, 0.0, HALF, HALF), "imu_link"),
+    "gps_fix": GpsFix(52.5, 13.4, 34.0, 1.2, 2.5, "gps"),
+    "laser_scan": LaserScan(-1.5, 0.5, (1000, 0, 4000), 4.0, "laser"),
+    "camera": CameraFrame(jpeg(320, 240), "camera"),
+    "pose_3d": Pose3D("odom", 1.0, 2.0, 3.0, (0.0, 0.0, HALF, HALF)),
 }
 
 
@@ -77,7 +135,8 @@ def test_what_is_written_is_read_again(packet, kind):
     for field in read.__struct_fields__:
         assert getattr(read, field) == pytest.approx(getattr(BODIES[packet], field)), field
     if hasattr(message, "header"):
-        assert (message.header.stamp.sec, message.header.stamp.nanosec, message.header.frame_id) == NOW
+        frame = getattr(BODIES[packet], "frame", NOW.frame)
+        assert (message.header.stamp.sec, message.header.stamp.nanosec, message.header.frame_id) == (12, 34, frame)
 
 
 @pytest.mark.parametrize("theta_rad", [-3.0, -0.1, 0.0, 1.0, math.pi])
@@ -172,6 +231,8 @@ def test_no_pose_and_no_command_has_a_number_that_is_none(bad):
         lambda: CONVERSIONS["motors", TWIST].write(twist(), Twist(bad, 0.0), NOW, 0),
         lambda: CONVERSIONS["motors", TWIST_STAMPED].write(EMPTY[TWIST_STAMPED](), Twist(0.0, bad), NOW, 0),
         lambda: CONVERSIONS["temperature", TEMPERATURE].read(space(temperature=bad)),
+        lambda: CONVERSIONS["pose", TRANSFORM].write(transform(), Pose(0.0, 0.0, bad), NOW, 0),
+        lambda: CONVERSIONS["pose_3d", TRANSFORM].write(transform(), Pose3D("map", bad, 0.0, 0.0), NOW, 0),
     ):
         with pytest.raises(Unusable, match="is not finite"):
             act()
@@ -186,4 +247,98 @@ def test_a_pose_without_an_orientation_is_none():
 
 def test_it_is_known_what_a_packet_is_read_from():
     assert messages_of("ir") == [SCAN]
-    assert messages_of("pose") == [POSE, ODOMETRY, POSE_COVARIANCE]
+    assert messages_of("pose") == [POSE, ODOMETRY, POSE_COVARIANCE, TRANSFORM]
+
+
+def written(packet, kind, body=None, moment=NOW):
+    message = EMPTY[kind]()
+    CONVERSIONS[packet, kind].write(message, body or BODIES[packet], moment, 0)
+    return message
+
+
+def test_what_a_reading_does_not_know_a_message_does_not_say():
+    message = written("imu", IMU, Imu((0.0, 0.0, 0.0), (0.0, 0.0, 9.81)))
+    assert (message.orientation_covariance[0], message.header.frame_id) == (-1.0, "map")
+    assert CONVERSIONS["imu", IMU].read(message).orientation is None
+    message = written("gps_fix", FIX, GpsFix(1.0, 2.0))
+    assert math.isnan(message.altitude)
+    assert message.position_covariance_type == 0
+    read = CONVERSIONS["gps_fix", FIX].read(message)
+    assert (read.altitude_m, read.horizontal_m, read.vertical_m) == (None, None, None)
+    scan = written("laser_scan", SCAN)
+    assert scan.ranges[0] == 1.0
+    assert math.isnan(scan.ranges[1])
+    assert scan.ranges[2] == math.inf
+
+
+def test_a_quaternion_that_rounding_has_changed_is_taken():
+    message = written("pose_3d", POSE)
+    message.pose.orientation.w *= 1.04
+    orientation = CONVERSIONS["pose_3d", POSE].read(message).orientation
+    assert math.hypot(*orientation) == pytest.approx(1.0)
+
+
+def test_below_the_least_range_a_scan_measured_nothing_and_minus_infinity_is_too_near():
+    message = written("laser_scan", SCAN)
+    message.range_min, message.ranges = 0.2, [0.1, -math.inf, 0.2, 99.0, math.nan]
+    assert CONVERSIONS["laser_scan", SCAN].read(message).ranges_mm == (0, 1, 200, 4000, 0)
+
+
+def changed(packet, kind, change):
+    message = written(packet, kind)
+    change(message)
+    return message
+
+
+@pytest.mark.parametrize(
+    ("packet", "message", "told"),
+    [
+        ("encoders", changed("encoders", JOINTS, lambda it: setattr(it, "position", [])), "no joint says its position"),
+        ("encoders", changed("encoders", JOINTS, lambda it: setattr(it, "velocity", [1.0])), "1 numbers for 2 wheels"),
+        ("encoders", changed("encoders", JOINTS, lambda it: setattr(it, "position", [1.0, math.nan])), "not finite"),
+        ("imu", changed("imu", IMU, lambda it: setattr(it.angular_velocity, "x", math.inf)), "not finite"),
+        ("imu", changed("imu", IMU, lambda it: setattr(it, "angular_velocity_covariance", [-1.0])), "turning rate"),
+        ("gps_fix", changed("gps_fix", FIX, lambda it: setattr(it.status, "status", -1)), "no fix"),
+        ("gps_fix", changed("gps_fix", FIX, lambda it: setattr(it, "latitude", 91.0)), "no latitude"),
+        ("gps_fix", changed("gps_fix", FIX, lambda it: setattr(it, "longitude", math.nan)), "not finite"),
+        ("laser_scan", changed("laser_scan", SCAN, lambda it: setattr(it, "ranges", [])), "at least one ray"),
+        ("laser_scan", changed("laser_scan", SCAN, lambda it: setattr(it, "range_max", math.inf)), "not finite"),
+        ("laser_scan", changed("laser_scan", SCAN, lambda it: setattr(it, "range_max", 0.0)), "above 0"),
+        ("camera", changed("camera", IMAGE, lambda it: setattr(it, "format", "png")), "only JPEG"),
+        ("camera", changed("camera", IMAGE, lambda it: setattr(it, "data", b"GIF")), "not a JPEG"),
+        (
+            "camera",
+            changed("camera", IMAGE, lambda it: setattr(it, "data", jpeg(9, 9, MOST_JPEG_BYTES))),
+            f"at most {MOST_JPEG_BYTES}",
+        ),
+        ("pose_3d", changed("pose_3d", POSE, lambda it: setattr(it.header, "frame_id", "")), "does not name the frame"),
+        ("pose_3d", changed("pose_3d", POSE, lambda it: setattr(it.header, "frame_id", "f" * 257)), "257 characters"),
+        ("pose_3d", changed("pose_3d", POSE, lambda it: setattr(it.pose.orientation, "w", 3.0)), "length"),
+        ("pose", changed("pose", TRANSFORM, lambda it: setattr(it, "child_frame_id", "map")), "has to name two frames"),
+    ],
+)
+def test_a_message_of_a_sensor_that_says_no_reading_is_refused(packet, message, told):
+    (kind,) = (it for it in (JOINTS, IMU, FIX, SCAN, IMAGE, TRANSFORM, POSE) if it in KIND_OF[packet])
+    with pytest.raises(Unusable, match=told):
+        CONVERSIONS[packet, kind].read(message)
+
+
+KIND_OF = {
+    "encoders": (JOINTS,),
+    "imu": (IMU,),
+    "gps_fix": (FIX,),
+    "laser_scan": (SCAN,),
+    "camera": (IMAGE,),
+    "pose_3d": (POSE,),
+    "pose": (TRANSFORM,),
+}
+
+
+def test_a_pose_is_a_transform_from_a_frame_to_that_of_the_body():
+    (step,) = written("pose", TRANSFORMS).transforms
+    assert (step.header.frame_id, step.child_frame_id) == ("map", "base_link")
+    assert (step.transform.translation.x, step.transform.translation.y) == (1.5, -2.0)
+    (step,) = written("pose_3d", TRANSFORMS).transforms
+    assert (step.header.frame_id, step.child_frame_id, step.transform.translation.z) == ("odom", "base_link", 3.0)
+    with pytest.raises(Unusable, match="to itself"):
+        written("pose", TRANSFORM, moment=Moment(1, 2, "map", "map"))

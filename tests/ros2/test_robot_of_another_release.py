@@ -15,7 +15,7 @@ ROBOT = """
 driver = "ros2.pose"
 [device.motors]
 driver = "ros2.motors"
-hold_after_s = 0.4
+hold_after_mission_s = 0.4
 settings = { tell_task = "cmd_vel_task", times_out_s = 0.5 }
 [device.battery]
 driver = "ros2.battery"

@@ -18,7 +18,16 @@ from pancakes_ros2.parameter_values import changes_of, flat, type_of
 from pancakes_ros2.ros2_service import Ros2Service
 from pancakes_ros2.ros_motors import RosMotors
 from pancakes_ros2.ros_node import silence_of
-from pancakes_ros2.ros_sensors import RosInfrared, RosPose
+from pancakes_ros2.ros_sensors import (
+    RosCamera,
+    RosEncoders,
+    RosGpsFix,
+    RosImu,
+    RosInfrared,
+    RosLaserScan,
+    RosPose,
+    RosPose3D,
+)
 from pancakes_ros2.task_node import TaskView
 from pancakes_ros2.task_nodes import place_of
 from pancakes_ros2.topic_row import TopicRow
@@ -85,6 +94,20 @@ def test_a_message_type_is_named_with_or_without_its_folder():
     assert "no message type of ROS 2" in refusal(RosPose.Settings, message="Odometry")
     assert "no pose is read from that, but from" in refusal(RosPose.Settings, message="std_msgs/msg/Bool")
     assert refusal(RosPose.Settings, message="geometry_msgs/PoseStamped", topic="pose") == ""
+
+
+def test_a_pose_of_tf_has_two_frames():
+    tf = "tf2_msgs/TFMessage"
+    settings = make_settings(RosPose3D.Settings, {"message": tf, "child_frame": "agent1/base_link"})
+    assert (settings.topic, settings.frame, settings.child_frame) == ("/tf", "map", "agent1/base_link")
+    assert "are both 'map'" in refusal(RosPose.Settings, message=tf, child_frame="map")
+    assert "set message = 'tf2_msgs/msg/TFMessage'" in refusal(RosPose.Settings, child_frame="base_link")
+
+
+@pytest.mark.parametrize("cls", [RosEncoders, RosImu, RosGpsFix, RosLaserScan, RosCamera])
+def test_a_sensor_is_read_from_one_message_type(cls):
+    assert refusal(cls.Settings) == ""
+    assert f"no {cls.type} is read from that" in refusal(cls.Settings, message="std_msgs/Bool")
 
 
 def test_a_ring_has_a_scan_or_a_topic_for_each_sensor():
@@ -248,14 +271,15 @@ def test_the_verdict_knows_the_arena_as_a_world():
 def test_the_configurations_of_the_guide_are_good(tmp_path):
     guide = (Path(__file__).parents[2] / "docs" / "ros2.md").read_text()
     blocks = re.findall(r"```toml\n(.*?)```", guide, re.DOTALL)
-    assert len(blocks) == 2
+    assert len(blocks) == 4
     file = tmp_path / "agent1.toml"
-    file.write_text("\n".join(blocks))
+    file.write_text("\n".join(blocks).replace(blocks[2], blocks[2].partition("\n\n")[2]))  # it has the table too
     config = load(str(file), (), Plugins())
-    assert set(config.devices) == {"pose", "motors", "battery", "ir"}
+    assert set(config.devices) == {"pose", "motors", "battery", "ir", "place"}
     rows = make_settings(Ros2Service.Settings, config.services["ros2"].settings).topics
     assert [(it.direction, it.message) for it in rows] == [
         ("out", "geometry_msgs/msg/PoseStamped"),
         ("in", "geometry_msgs/msg/Point"),
         ("in", "diagnostic_msgs/msg/DiagnosticArray"),
+        ("out", "tf2_msgs/msg/TFMessage"),
     ]

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import pytest
 from services.counting import Count
+from services.strangers import owns, tell
 
 from pancakes.control import Configure, Describe, Follow, Migrate, Reschedule, Revive, Shutdown, Start, Stop
 from pancakes.devices import Load
 from pancakes.durable.host_state import HostState
-from pancakes.durable.ownership import Owned, OwnerClaim
-from pancakes.durable.record import Epoch, TaskId
-from pancakes.packet import CTRL, NETWORK
+from pancakes.durable.record import TaskId
+from pancakes.packet import CTRL
 from pancakes.testing import Fleet
 
 LOOK = """
@@ -131,9 +131,8 @@ def test_a_letter_reaches_a_task_only_with_the_right_to_write_to_it(fleet):
 
 @pytest.mark.parametrize("believed", [False, True])
 def test_a_claim_counts_only_from_a_peer_that_may_host_the_task(fleet, believed):
-    a, b = two(fleet, allowed('["publish", "host"]' if believed else '["publish"]'))
-    forged = OwnerClaim(TaskId("a", "Count"), Epoch(9, "b"))
-    b.publish(NETWORK, Owned((forged,)), to="a/kernel/Census")
+    a, _ = two(fleet, allowed('["publish", "host"]' if believed else '["publish"]'))
+    tell(fleet, "b", "a", owns(fleet, "b", TaskId("a", "Count")))
     fleet.run_for(1.0)
     assert a.running("client") == ([] if believed else ["Count"])
     refused = any("b says that it owns a/Count, and is not believed: a does not" in it for it in a.lines("warning"))
@@ -143,16 +142,16 @@ def test_a_claim_counts_only_from_a_peer_that_may_host_the_task(fleet, believed)
 def test_an_agent_claims_for_itself_alone(fleet):
     """A packet under another agent's name does not come in (`speaker`); a terminal is no owner."""
     a = fleet.start("a", tasks={"Count": Count})
-    w = fleet.start("w", role="environment")
+    fleet.start("w", role="environment")
     fleet.connect()
-    w.publish(NETWORK, Owned((OwnerClaim(TaskId("a", "Count"), Epoch(9, "w")),)), to="a/kernel/Census")
+    tell(fleet, "w", "a", owns(fleet, "w", TaskId("a", "Count")))
     fleet.run_for(1.0)
     assert a.running("client") == ["Count"] and a.events("task_disputed") == []
 
 
 def test_to_revive_a_task_needs_the_right_on_the_place_that_it_gets(fleet):
     _, b = two(fleet, allowed('["adopt"]', '["a/client/Sink"]'))
-    may_adopt = b.ask(Revive("c/Sink", "test.Sink", force=True), to="a")
+    may_adopt = b.ask(Revive("c/Sink", "test.Sink"), to="a")
     assert "it lacks the right 'host' on 'test.Sink'" in may_adopt.reason
-    refused = b.ask(Revive("c/Other", "test.Sink", force=True), to="a")
+    refused = b.ask(Revive("c/Other", "test.Sink"), to="a")
     assert "it lacks the right 'adopt' on 'a/client/Other'" in refused.reason

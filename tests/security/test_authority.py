@@ -38,8 +38,13 @@ def test_a_name_is_given_out_once_until_it_is_revoked(authority: Authority):
 
 def test_what_has_no_certificate_is_not_revoked(authority: Authority):
     number = read_signed((authority.folder / ROSTER).read_bytes())[1].number
-    with pytest.raises(PancakesError, match="the register of the fleet garage has no r9: see pancakes fleet list"):
+    with pytest.raises(PancakesError, match="the register of the fleet garage has no r9: see pancakes keys list"):
         authority.revoke("r9", "lost")
+    assert read_signed((authority.folder / ROSTER).read_bytes())[1].number == number
+    authority.enrol_with_key("agent", "r1")
+    number = read_signed((authority.folder / ROSTER).read_bytes())[1].number
+    with pytest.raises(PancakesError, match="a revocation needs a reason"):
+        authority.revoke("r1", " ")
     assert read_signed((authority.folder / ROSTER).read_bytes())[1].number == number
 
 

@@ -76,7 +76,7 @@ def test_a_code_is_good_once(waiting):
     there = waiting()
     join(there.code)
     there.ended()
-    with pytest.raises(PancakesError, match=r"cannot be reached: connection refused\. Is pancakes fleet enrol still"):
+    with pytest.raises(PancakesError, match=r"cannot be reached: connection refused\. Is pancakes keys enrol still"):
         join(there.code)
 
 

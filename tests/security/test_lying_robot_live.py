@@ -18,31 +18,26 @@ import pytest
 from keys_in_test import KeysInTest
 
 from pancakes.control import Guarding, Migrate
-from pancakes.durable.arrivals import MOST_IN_DOUBT
+from pancakes.durable.bidding_messages import MIGRATOR
 from pancakes.durable.delivery import Letter, Receipt
 from pancakes.durable.messages import (
-    CheckpointBody,
-    CheckpointId,
-    Commit,
-    KeepLease,
-    LeaseKept,
-    Nak,
-    Pledge,
-    Prepared,
-    Reserve,
-    Reserved,
-    SeizeTask,
+    REGISTRAR,
+    Accept,
+    Accepted,
+    Bid,
+    Call,
+    Prepare,
+    Promise,
+    Refuse,
     Solicit,
-    TakeTask,
-    Transfer,
-    YieldLease,
     addressed,
 )
-from pancakes.durable.record import Epoch, GuardianId, Guards, Phase, TaskId, forgotten_guards
-from pancakes.durable.snapshot import Snapshot, cut
+from pancakes.durable.record import TaskId
+from pancakes.durable.register import NO_EPOCH, NOBODY, Epoch, Identity, Register, Standing, Wanted
+from pancakes.durable.registrar import MOST_OFFERED
+from pancakes.durable.snapshot import Snapshot
 from pancakes.mesh.codec import encode_packet
 from pancakes.packet import Packet, packet_type, task_address
-from pancakes.supervision.messages import GUARDIAN
 from pancakes.task import Task, every, on
 from pancakes.testing import AgentHandle, threaded_agent
 
@@ -99,7 +94,7 @@ class Robots:
         self._stack = stack
         self._peers: list[str] = []
         ACTS.clear()
-        guarded = {"type": Count, "guard": 3, "lease_s": LEASE_S, "guardians": ["b", "c"]}
+        guarded = {"type": Count, "guard": {"copies": 3, "lease_s": LEASE_S, "guardians": ["b", "c"]}}
         self.a = self._start("a", {"Count": guarded, "Sink": {"type": Sink, "durability": "each"}})
         self.b, self.c, self.d = (self._start(name, {}) for name in "bcd")
         for agent in self.all:
@@ -107,7 +102,7 @@ class Robots:
             agent.wait_until(lambda: len(mesh.neighbours()) == 3, PATIENCE_S, "all are linked")  # noqa: B023
         self.heard: list[object] = []  # what d is told
         self.d.kernel.stream.tap("network", lambda packet: self.heard.append(packet.body))
-        self.a.wait_until(lambda: len(self.guards().members()) == 3 == len(self.guards().sets[0]), PATIENCE_S, "guards")
+        self.a.wait_until(lambda: [len(one) for one in self.register().sets] == [3], PATIENCE_S, "members")
 
     def _start(self, name: str, tasks: dict) -> AgentHandle:
         keys = self._keys.of_agent("test", name)
@@ -137,12 +132,12 @@ class Robots:
     def honest(self) -> list[AgentHandle]:
         return [self.a, self.b, self.c]
 
-    def guards(self) -> Guards:
+    def register(self) -> Register:
         record = self.a.agent.records.get(COUNT)
-        return record.guards if record is not None else Guards()
+        return record.register if record is not None else Register()
 
-    def guardian(self, agent: AgentHandle) -> GuardianId:
-        return GuardianId(agent.name, agent.agent.mesh.identity.journal)
+    def identity(self, agent: AgentHandle) -> Identity:
+        return Identity(agent.name, agent.agent.mesh.identity.journal)
 
     def version(self, kind: str = "Count") -> str:
         return self.a.slot(kind).spec.version
@@ -170,42 +165,40 @@ def robots(tmp_path: Path) -> Iterator[Robots]:
 
 
 def test_guarded_task_acts_on_one_agent_whatever_a_third_claims(robots):
-    """Epochs and checkpoints are made up, and each lease would end early."""
-    high, guards = Epoch(7, "d"), robots.guards()
-    mine = Guards(high, 0, guards.sets)
-    body = CheckpointBody(b"a lie")
-    for guardian in robots.honest:
+    """Epochs and states are made up, and each lease would end early."""
+    high, own = Epoch(7, robots.identity(robots.d)), robots.register()
+    kind, ours = robots.a.agent.records.get(COUNT).type, Register(high, 1, own.sets)
+    goodbye = own.summary()._replace(no=own.no + 100, heir=robots.identity(robots.d))
+    for member in robots.honest:
         robots.lie(
-            guardian,
-            GUARDIAN,
-            SeizeTask(COUNT, "test.Count", high, guards),
-            KeepLease(COUNT, "test.Count", high, 1, 0.5, CheckpointId(high, 1), mine, body),
-            KeepLease(COUNT, "test.Count", high, 1, 0.5, CheckpointId(high, 1), forgotten_guards(high)),
-            YieldLease(COUNT, Epoch(0, "a"), 2**62, 1),
-            YieldLease(COUNT, high, 2**62, 1),
+            member,
+            REGISTRAR,
+            Prepare(COUNT, kind, high, own.stamp, own.sets),
+            Accept(COUNT, kind, "client", ours, 1, 0.5, state=b"a lie"),
+            Accept(COUNT, kind, "client", ours._replace(wanted=Wanted.REMOVED), 1, 0.5),
+            Accept(COUNT, kind, "client", goodbye, state=b"a lie"),
         )
     assert robots.goes_on()
-    assert not robots.told(Pledge) and not robots.told(LeaseKept)
+    assert not robots.told(Promise) and not robots.told(Accepted)
     rows = [row for agent in (robots.b, robots.c) for row in agent.ask(Guarding()).result]
     assert {row["owner"] for row in rows} == {"a"}
 
 
 @pytest.mark.parametrize("task_id", [COUNT, SINK], ids=["guarded", "not guarded"])
 def test_task_is_taken_over_by_none_while_its_owner_runs_it(robots, task_id):
-    """D pledges the task to whoever asks, and hands out a state of its own making."""
-    mine = Guards(Epoch(6, "d"), 0, ((robots.guardian(robots.d),),))
-    kind = f"test.{task_id.name}"
-    rule = {"guard": 3, "lease_s": LEASE_S, "checkpoint_s": 1.0, "guardians": [], "takeover": "auto"}
-    body = CheckpointBody(Snapshot(task_id, kind, robots.version(task_id.name), "client", guard=rule).encode())
+    """D promises the task to whoever asks, and hands out a state of its own making."""
+    d = robots.identity(robots.d)
+    made_up, kind = Register(Epoch(6, d), 9, ((d,),)), f"test.{task_id.name}"
+    rule = {"copies": 3, "lease_s": LEASE_S, "checkpoint_s": 1.0, "guardians": [], "takeover": "auto"}
+    state = Snapshot(task_id, kind, robots.version(task_id.name), "client", guard=rule).encode()
 
-    def pledge(packet: Packet) -> None:
-        if isinstance(packet.body, SeizeTask):
-            checkpoint = CheckpointId(Epoch(6, "d"), 9)
-            said = Pledge(task_id, packet.body.epoch, robots.guardian(robots.d), checkpoint, mine, body)
-            robots.lie(robots.b, "client", said)
+    def promise(packet: Packet) -> None:
+        if isinstance(packet.body, Prepare):
+            held = made_up._replace(promised=packet.body.epoch)
+            robots.lie(robots.b, REGISTRAR, Promise(task_id, packet.body.epoch, d, held, state))
 
-    robots.d.kernel.stream.tap("network", pledge)
-    robots.lie(robots.b, "client", TakeTask(task_id, kind, Epoch(0, "a"), mine, CheckpointId(Epoch(0, "a"), 1)))
+    robots.d.kernel.stream.tap("network", promise)
+    robots.lie(robots.b, REGISTRAR, Call(task_id, kind, "client", NO_EPOCH, ((d,),)))
     assert robots.goes_on()
     assert robots.b.running() == [] and sorted(robots.a.running()) == ["Count", "Sink"]
 
@@ -224,40 +217,48 @@ def test_packets_for_a_task_have_their_effect_once_whatever_a_third_writes(robot
 
 
 def _request(robots: Robots, task_id: TaskId) -> Solicit:
-    return Solicit(task_id, 1, "test.Sink", robots.version("Sink"), "client")
+    return Solicit(task_id, 1, "test.Sink", robots.version("Sink"), "client", hold=True)
+
+
+def _offer(robots: Robots, task_id: TaskId, **state: Any) -> Accept:
+    """D offers a task, and says that it has another disk, so it is not asked whether it gives it away."""
+    d, heir = Identity("d", "gone"), robots.identity(robots.b)
+    register = Register(Epoch(0, d), 1, ((d,),), heir=heir)
+    snapshot = Snapshot(task_id, "test.Sink", robots.version("Sink"), "client", state=state)
+    return Accept(task_id, "test.Sink", "client", register, to=heir, state=snapshot.encode())
 
 
 def test_what_is_brought_and_never_given_away_has_a_bound_and_leaves_others_their_place(robots):
     def answer(packet: Packet) -> None:
-        if isinstance(packet.body, Reserved):
-            task_id = packet.body.task_id
-            snapshot = Snapshot(task_id, "test.Sink", robots.version("Sink"), "client").encode()
-            robots.lie(robots.b, "client", *cut(Transfer(task_id, packet.body.offer, snapshot)))
+        if isinstance(packet.body, Bid) and packet.body.holds:
+            robots.lie(robots.b, REGISTRAR, _offer(robots, packet.body.task_id))
 
     robots.d.kernel.stream.tap("network", answer)
     for first in range(0, 96, 32):  # of more at once some are declined because so many are under way
         for number in range(first, first + 32):
-            task_id = TaskId("d", f"T{number}")
-            robots.lie(robots.b, "client", Reserve(task_id, Epoch(1, "d"), _request(robots, task_id)))
+            robots.lie(robots.b, MIGRATOR, _request(robots, TaskId("d", f"T{number}")))
         until(lambda: _decided(robots) >= first + 32, "each is answered")  # noqa: B023
-    kept = [it for it in robots.b.agent.records.all().values() if it.phase is Phase.PREPARED]
-    assert len(kept) == MOST_IN_DOUBT
-    assert any("that d has brought and not handed over" in nak.refusal.text for nak in robots.told(Nak))
+    assert len(_kept(robots)) == MOST_OFFERED
+    assert any("that d has brought and not handed over" in it.refusal.text for it in robots.told(Refuse))
     assert robots.a.ask(Migrate("Sink", to="b")).ok, "an honest task has its place"
 
 
+def _kept(robots: Robots) -> set[TaskId]:
+    return {key for key, it in robots.b.agent.records.all().items() if it.standing is Standing.HEIR}
+
+
 def _decided(robots: Robots) -> int:
-    return len({it.task_id for kind in (Prepared, Nak) for it in robots.told(kind)})
+    return len(_kept(robots) | {it.task_id for it in robots.told(Refuse)})
 
 
 def test_task_is_handed_over_only_by_an_agent_that_has_it(robots):
     """D has the code of the task, makes up the rest, and gives away what it never had."""
-    offer = Epoch(9, "d")
-    snapshot = Snapshot(SINK, "test.Sink", robots.version("Sink"), "client", state={"numbers": [666]}).encode()
-    robots.lie(robots.b, "client", Reserve(SINK, offer, _request(robots, SINK)))
-    until(lambda: robots.told(Nak), "it is refused")
-    assert "d has no right to it" in robots.told(Nak)[0].refusal.text
-    robots.lie(robots.b, "client", *cut(Transfer(SINK, offer, snapshot)), Commit(SINK, offer))
+    robots.lie(robots.b, MIGRATOR, _request(robots, SINK))
+    until(lambda: robots.told(Refuse), "it is refused")
+    assert "d has no right to it" in robots.told(Refuse)[0].refusal.text
+    offer, d = _offer(robots, SINK, numbers=[666]), robots.identity(robots.d)
+    given = Promise(SINK, Epoch(1, robots.identity(robots.b)), d, offer.register._replace(heir=NOBODY), offer.state)
+    robots.lie(robots.b, REGISTRAR, offer, given)
     robots.b.publish("system", Numbered(1), to=task_address("a/Sink"))
     robots.b.wait_until(lambda: not robots.b.agent.outbox.waiting(), PATIENCE_S, "it is acknowledged")
     assert robots.a.task("Sink").state.numbers == [1]

@@ -8,12 +8,24 @@ from pathlib import Path
 import pytest
 from net.conftest import TlsRig
 
+from pancakes.security.key_store import FLEET, write_private
+
 
 @pytest.fixture
 def rig(tmp_path: Path) -> Iterator[TlsRig]:
     made = TlsRig(tmp_path)
     yield made
     made.close()
+
+
+def test_only_a_key_of_its_own_is_a_new_one(rig: TlsRig) -> None:
+    """The files of a key folder are written one after the other, and the agent may look in between."""
+    keys = rig.keys_of(rig.agent("a").transport)
+    assert keys is not None
+    write_private(keys.folder / FLEET, (keys.folder / FLEET).read_bytes())
+    assert not keys.reload(dry_run=True) and not keys.reload()
+    rig.authority.enrol_with_key("agent", "a").write(keys.folder)
+    assert keys.reload(dry_run=True) and keys.reload() and not keys.reload()
 
 
 def test_an_agent_looks_again_and_again_whether_there_is_a_new_key_of_its_own(

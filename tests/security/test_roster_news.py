@@ -79,7 +79,7 @@ def test_roster_choice():
             (Roster("barn", 8, NOW_S), ROSTER, NOW_S, "the roster 8 is of the fleet barn, but this is garage"),
             (Roster("garage", 8, NOW_S + LATEST_S - DAY_S + 1), ROSTER, EARLY_S, "is dated 30 days after"),
             (Roster("garage", 8, NOW_S + LATEST_S - DAY_S), ROSTER, EARLY_S, ""),
-            (Roster("garage", 8, LATE_S), ROSTER, NOW_S, "sign it with pancakes fleet sign --any-date"),
+            (Roster("garage", 8, LATE_S), ROSTER, NOW_S, "sign it with pancakes keys sign --any-date"),
             (Roster("garage", 8, LATE_S, forced=True), ROSTER, NOW_S, ""),
             (Roster("garage", 8, LATE_S), ROSTER, LATE_S, ""),
             (Roster("garage", 8, EARLY_S), ROSTER, NOW_S, ""),

@@ -49,7 +49,7 @@ def test_access_rule_allows_only_what_it_names():
     [
         ("operator", RIGHTS),
         ("observer", ("look",)),
-        ("agent", ("look", "host", "guard", "write", "publish")),
+        ("agent", ("look", "host", "guard", "write", "publish", "halt")),
         ("environment", ("publish",)),
     ],
 )
@@ -99,7 +99,7 @@ def test_a_refusal_names_the_missing_right_and_the_command_that_grants_it():
     assert it.fault("r2", "look", "r1") == ""
     assert it.fault("r2", "change", "r1/device/motors") == (
         "r1 does not let r2 (agent) do this: it lacks the right 'change' on 'r1/device/motors' (roster 7). To grant it:"
-        " pancakes fleet allow r2 change --on 'r1/device/motors' --at r1"
+        " pancakes keys allow r2 change --on 'r1/device/motors' --agent r1"
     )
 
 

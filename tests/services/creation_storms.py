@@ -14,7 +14,7 @@ from pancakes.control import Create, Migrate, Remove
 from pancakes.testing import Fleet
 
 STEPS = 20
-GUARD = {"guard": 3, "lease_s": 2.0}
+GUARD = {"guard": {"copies": 3, "lease_s": 2.0}}
 ACTS = ("create", "create", "remove", "remove", "migrate", "migrate", "crash", "cut")
 
 

@@ -3,7 +3,8 @@
 from dataclasses import dataclass
 
 from pancakes.control import Migrate, Migrations, Stop
-from pancakes.durable.record import Phase, TaskId
+from pancakes.durable.record import TaskId
+from pancakes.durable.register import Standing
 from pancakes.mesh.memory_network import Quality
 from pancakes.packet import SYSCTRL
 from pancakes.task import Task, every
@@ -35,7 +36,7 @@ def two(seed=3):
 
 def phase(fleet, agent, name="Circle"):
     place = fleet.agents[agent].component("client").places.get(TaskId("a", name))
-    return place.standing.record.phase if place is not None else Phase.ABSENT
+    return place.record.standing if place is not None else Standing.NONE
 
 
 def until(fleet, condition):
@@ -55,7 +56,7 @@ def moving(fleet, wanted, **others):
 def follows_after_a_death(steps):
     """Check that the task follows once if its agent dies so many steps after the point of no return."""
     with two() as fleet:
-        moving(fleet, Phase.COMMITTED, then="Home")
+        moving(fleet, Standing.YIELDED, then="Home")
         for _ in range(steps):
             fleet.dispatcher.step()
         fleet.crash("a")

@@ -7,7 +7,8 @@ import pytest
 from pancakes.control import Migrate, Start, Stop
 from pancakes.devices import Twist
 from pancakes.devices.driver import Actuator
-from pancakes.durable.record import Phase, TaskId
+from pancakes.durable.record import TaskId
+from pancakes.durable.register import Standing
 from pancakes.mesh.memory_network import Quality
 from pancakes.packet import SYSCTRL
 from pancakes.task import Task, every
@@ -41,7 +42,7 @@ def fleet():
 
 
 def phase(fleet, agent):
-    return fleet.agents[agent].component("client").places[TaskId("a", "Circle")].standing.record.phase
+    return fleet.agents[agent].component("client").places[TaskId("a", "Circle")].record.standing
 
 
 def until_prepared(fleet):
@@ -50,7 +51,7 @@ def until_prepared(fleet):
     assert fleet.run_until(
         lambda: (
             fleet.agents["b"].component("client").places.get(TaskId("a", "Circle")) is not None
-            and phase(fleet, "b") is Phase.PREPARED
+            and phase(fleet, "b") is Standing.HEIR
         )
     )
     fleet.network.partition(["a"], ["b"])
@@ -66,10 +67,10 @@ def test_a_local_start_does_not_take_them(fleet):
 def test_on_abort_they_are_given_back(fleet):
     until_prepared(fleet)
     fleet.run_for(5.0)
-    assert phase(fleet, "a") is Phase.OWNER  # it took the task back, and `b` cannot know
+    assert phase(fleet, "a") is Standing.OWNER  # it took the task back, and `b` cannot know
     assert fleet.agents["b"].ask(Start("Home")).reason == KEPT
     fleet.network.heal()
-    assert fleet.run_until(lambda: phase(fleet, "b") is Phase.ABSENT, 30.0)
+    assert fleet.run_until(lambda: phase(fleet, "b") is Standing.RELEASED, 30.0)
     fleet.run_for(0.1)
     assert fleet.agents["b"].ask(Start("Home")).ok
 
@@ -78,7 +79,7 @@ def test_they_stay_kept_over_a_restart_of_the_agent(fleet):
     until_prepared(fleet)
     fleet.crash("b")
     b = fleet.restart("b")
-    assert phase(fleet, "b") is Phase.PREPARED
+    assert phase(fleet, "b") is Standing.HEIR
     assert b.ask(Start("Home")).reason == KEPT
 
 
@@ -93,7 +94,7 @@ def test_the_task_has_them_once_it_runs(fleet):
 def test_a_task_whose_actuators_were_taken_after_the_bid_stays_where_it_is(fleet):
     a, b = fleet.agents["a"], fleet.agents["b"]
     moving = a.publish(SYSCTRL, Migrate("Circle"))
-    assert fleet.run_until(lambda: phase(fleet, "a") is Phase.FROZEN)
+    assert fleet.run_until(lambda: phase(fleet, "a") is Standing.OFFERED)
     assert b.ask(Start("Home"), timeout_s=0.02).ok
     assert "wheels is held by b/client/Home" in a.reply_to(moving).reason
     assert a.running() == ["Circle"]
@@ -149,7 +150,7 @@ class LastWord(Circle):
 @pytest.mark.parametrize(("moves", "told"), [(True, False), (False, True)])
 def test_what_a_task_commands_as_it_ends_reaches_no_wheel_where_it_was_handed_over(moves, told):
     Wheels.told.clear()
-    with Fleet(7, classes={"test.LastWord": LastWord}) as fleet:
+    with Fleet(2, classes={"test.LastWord": LastWord}) as fleet:
         a = fleet.start("a", devices={"wheels": Wheels}, tasks={"LastWord": LastWord})
         fleet.start("b", devices=WHEELS)
         fleet.connect()

@@ -136,7 +136,7 @@ def test_a_task_is_described_with_all_that_is_known_about_it(fleet):
     (timer,) = told["timers"]
     assert (timer["timer"], timer["rate_hz"], timer["ticks"]) == ("tick", 10.0, 10)
     (reads,) = told["reads"]
-    read = {"channel": "system", "types": ["pose"], "keep": "newest", "limit": 3, "waiting": 0, "dropped": 0}
+    read = {"channel": "system", "types": ["pose"], "queue": "3", "limit": 3, "waiting": 0, "dropped": 0}
     assert reads.items() >= read.items()
     restart = {"policy": "always", "at_most": 8, "within_s": 60.0}
     assert told["restart"] == {**restart, "pause_s": 0.1, "pause_max_s": 10.0, "again_s": 0.0}

@@ -243,7 +243,7 @@ def test_an_offer_that_cannot_be_read_is_a_refusal():
 
 def test_guardians_tell_bidders_for_a_lost_task_what_its_class_offers():
     rule = {"when": "battery", "below": 0.1, "cost": "nearest"}
-    task = {"type": "test.Patrol", "guard": 3, "guardians": ["b", "c"], "migrate": rule}
+    task = {"type": "test.Patrol", "guard": {"copies": 3, "guardians": ["b", "c"]}, "migrate": rule}
     with Fleet(4, classes={"test.Patrol": Patrol, "nearest": Nearest}) as fleet:
         a = fleet.start("a", tasks={"Patrol": task})
         for name, x_m in (("b", 3.0), ("c", 2.0), ("d", 1.0)):

@@ -10,7 +10,8 @@ from services.created import COUNT, Count, Drive, count_of
 from services.numbered import Sink
 
 from pancakes.control import Configure, Create, Describe, Migrate, Migrations, Remove, Revive, Start, Stop
-from pancakes.durable.record import Phase, TaskId
+from pancakes.durable.record import TaskId
+from pancakes.durable.register import Standing
 from pancakes.mesh.memory_network import Quality
 from pancakes.simulation.fleet import DISK_FULL
 from pancakes.task import Task, Tick, every
@@ -128,8 +129,8 @@ def test_what_was_done_is_an_event_and_an_account(fleet: Fleet) -> None:
             Create("Count", "test.Count", rate_hz=10_001.0),
             "[task.Count] rate_hz: expected a number <= 10000, not 10001",
         ),
-        (Create("Count", "test.Count", keys={"guard": 4}), "[task.Count] guard: expected"),
-        (Create("Count", "test.Count", keys={"lease_s": 9.0}), "[task.Count] lease_s: is for guarded tasks"),
+        (Create("Count", "test.Count", keys={"guard": {"copies": 4}}), "[task.Count] guard.copies: expected"),
+        (Create("Count", "test.Count", keys={"lease_s": 9.0}), "[task.Count] lease_s: unknown key"),
         (Create("Count", "test.Count", keys={"restart": {"pause_s": -1.0}}), "[task.Count] restart.pause_s: expected"),
         (Create("Count", "test.Count", keys={"start": False}), "[task.Count] start: is none of the other keys"),
         (
@@ -166,7 +167,7 @@ def test_a_name_that_is_there_is_refused_here_and_elsewhere(fleet: Fleet) -> Non
     assert a.ask(COUNT).reason == "a/client/Count is there already, and running: choose another name"
     assert a.ask(Create("Sink", "test.Count")).reason.startswith("a/client/Sink is there already")
     assert a.ask(Migrate("Count", to="b")).ok
-    assert "a/Count is on b (epoch 2@a): choose another name, or end that one" in a.ask(COUNT).reason
+    assert "a/Count is on b (epoch 2@b): choose another name, or end that one" in a.ask(COUNT).reason
     assert b.ask(COUNT).reason.startswith("b/client/Count is there already")
     assert b.ask(Create("Sink", "test.Sink")).ok  # each agent may have its own
 
@@ -199,7 +200,7 @@ def test_where_an_agent_that_may_have_it_is_cut_off_it_is_not_created_a_second_t
     fleet.crash("b")
     fleet.run_for(3.0)
     assert a.ask(COUNT).reason == (
-        "a/Count is on b (epoch 2@a), as far as is known, and b is not connected: choose another name, or connect b"
+        "a/Count is on b (epoch 2@b), as far as is known, and b is not connected: choose another name, or connect b"
     )
 
 
@@ -331,14 +332,14 @@ def test_devices_and_services_are_not_removed(fleet: Fleet) -> None:
 
 def test_what_is_created_is_in_the_configuration_that_its_agent_tells(fleet: Fleet) -> None:
     a = fleet.start("a", tasks={"Sink": "test.Sink"})
-    keys = {"guard": 3, "lease_s": 4.0, "restart": {"policy": "no"}}
+    keys = {"guard": {"copies": 3, "lease_s": 4.0}, "restart": {"policy": "no"}}
     assert a.ask(Create("Count", "test.Count", {"step": 2}, 5.0, keys)).ok
     fleet.run_for(2.0)
     tasks = a.ask(Describe(config=True)).result["config"]["task"]
     assert sorted(tasks) == ["Count", "Sink"]
     count = tasks["Count"]
     assert (count["type"], count["settings"], count["rate_hz"]) == ("test.Count", {"step": 2}, 5.0)
-    assert (count["guard"], count["lease_s"], count["restart"]["policy"]) == (3, 4.0, "no")
+    assert (count["guard"]["copies"], count["guard"]["lease_s"], count["restart"]["policy"]) == (3, 4.0, "no")
     assert TaskId("a", "Count") in a.agent.records.all()
 
 
@@ -349,7 +350,7 @@ def test_while_it_is_handed_over_it_is_not_removed(fleet: Fleet) -> None:
     fleet.run_for(1.0)
     a.publish("sysctrl", Migrate("Count", to="b"))
     record = b.agent.records.get
-    while (kept := record(TaskId("a", "Count"))) is None or kept.phase is not Phase.PREPARED:
+    while (kept := record(TaskId("a", "Count"))) is None or kept.standing is not Standing.HEIR:
         assert fleet.dispatcher.step()
     assert a.ask(Remove("Count")).reason == "a/client/Count is being handed over between a and b"
     fleet.run_for(2.0)
@@ -392,7 +393,7 @@ def test_what_is_asked_of_a_task_that_is_being_removed_is_refused(fleet: Fleet) 
 def test_of_a_task_whose_whereabouts_are_not_known_it_is_said(fleet: Fleet) -> None:
     a, b = fleet.start("a"), fleet.start("b")
     fleet.connect()
-    assert b.ask(Revive("a/Other", "test.Count", force=True)).ok
+    assert b.ask(Revive("a/Other", "test.Count")).ok
     assert "a/Other is on b (epoch" in a.ask(Create("Other", "test.Count")).reason
     fleet.crash("b")
     fleet.run_for(3.0)

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import pytest
 
-from pancakes.durable.hosting import Deadlines
+from pancakes.durable.deadlines import Deadlines
 from pancakes.kernel.timer import OneShot
 
 

@@ -333,7 +333,7 @@ def test_two_tasks_cannot_hold_one_actuator(fleet):
 
 
 def test_without_a_fresh_command_it_goes_to_its_safe_hold(fleet):
-    wheels = {"type": Wheels, "hold_after_s": 0.5}
+    wheels = {"type": Wheels, "hold_after_mission_s": 0.5}
     agent = fleet.start(
         "a", devices={"wheels": wheels}, tasks={"Driving": {"type": Driving, "settings": {"until_s": 1.05}}}
     )
@@ -451,7 +451,7 @@ def test_a_virtual_sensor_gives_an_agent_what_another_one_measures(fleet):
 
 
 def test_a_virtual_sensor_that_hears_nothing_says_so_once(fleet):
-    agent = fleet.start("a", devices={"pose": {"type": "network.pose", "silent_s": 1.0}})
+    agent = fleet.start("a", devices={"pose": {"type": "network.pose", "silent_mission_s": 1.0}})
     fleet.run_for(10.0)
     assert len([line for line in agent.lines("warning") if "no reading has come" in line]) == 1
 

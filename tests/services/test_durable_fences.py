@@ -239,7 +239,7 @@ robots = { a = { x_m = 0.0, y_m = 0.0, spread_m = 0.0, spread_rad = 0.0 } }
 def test_a_robot_whose_agent_is_killed_stands_within_half_a_second(fleet):
     """Nobody is left to say so: the command's time to live has travelled to the world's wheels."""
     world = fleet.start("world", WORLD, role="environment")
-    drive = {"type": "sim.differential_drive", "settings": {"world": "tcp://world:7410"}, "hold_after_s": 0.5}
+    drive = {"type": "sim.differential_drive", "settings": {"world": "tcp://world:7410"}, "hold_after_mission_s": 0.5}
     fleet.start("a", devices={"wheels": drive}, tasks={"Circle": Circle})
     fleet.network.set_quality("a", "world", Quality(latency_s=0.001))
 

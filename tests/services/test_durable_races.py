@@ -4,14 +4,14 @@ from dataclasses import dataclass
 
 import pytest
 from services.counting import Count
+from services.strangers import identity, say
 
 from pancakes.control import Migrate, Restart, Start, Stop
 from pancakes.devices import Load, Twist
 from pancakes.devices.driver import Actuator
-from pancakes.durable.messages import Transfer, addressed
-from pancakes.durable.record import Epoch, Phase, TaskId, Wanted
-from pancakes.durable.snapshot import cut
-from pancakes.durable.state_machine import idle
+from pancakes.durable.messages import Accept
+from pancakes.durable.record import TaskId
+from pancakes.durable.register import Epoch, Register, Standing, Wanted
 from pancakes.mesh.memory_network import Quality
 from pancakes.task import Task, every, on
 from pancakes.testing import Fleet
@@ -66,12 +66,12 @@ def test_a_restart_while_a_checkpoint_is_being_written_starts_the_task_again(fle
     agent = fleet.start("a", tasks={"Count": Count})
     found = place(agent, "Count")
     fleet.run_for(0.5)
-    assert fleet.run_until(lambda: not idle(found.standing))
+    assert fleet.run_until(lambda: not found.idle)
     n = agent.task("Count").state.n
     reply = agent.ask(Restart("Count"))
     assert reply.ok, reply.reason
     assert agent.task("Count").state.n >= n
-    assert found.standing.record.wanted is Wanted.RUNNING
+    assert found.record.wanted is Wanted.RUNNING
 
 
 def test_a_state_that_cannot_be_written_down_is_told_and_does_not_end_the_task(fleet):
@@ -109,27 +109,27 @@ def test_a_task_whose_start_was_refused_can_be_stopped_for_good(fleet):
     assert agent.ask(Stop("Other")).ok
     fleet.run_for(3.0)
     assert agent.running() == []
-    assert place(agent, "Drives").standing.record.wanted is Wanted.STOPPED
+    assert place(agent, "Drives").record.wanted is Wanted.STOPPED
 
 
 def _move(fleet, task="Count", to="b"):
     return fleet.agents["a"].publish("sysctrl", Migrate(task, to=to))
 
 
-def test_nobody_can_stop_a_task_between_its_freeze_and_its_new_host(fleet):
+def test_a_stop_during_a_migration_takes_the_offer_back(fleet):
     a = fleet.start("a", tasks={"Count": Count})
     b = fleet.start("b")
     fleet.connect()
     fleet.network.set_quality("a", "b", Quality(latency_s=0.05))
     found = place(a, "Count")
     asked = _move(fleet)
-    assert fleet.run_until(lambda: found.standing.volatile.freezing)
-    refused = a.ask(Stop("Count"))
-    assert not refused.ok and "is being handed over" in refused.reason
-    assert a.reply_to(asked).ok
-    fleet.run_for(1.0)
-    assert b.running() == ["Count"]
-    assert a.running() == []
+    assert fleet.run_until(lambda: found.record.standing is Standing.OFFERED)
+    assert a.ask(Stop("Count")).ok
+    refused = a.reply_to(asked)
+    assert not refused.ok and "the task was stopped" in refused.reason
+    fleet.run_for(5.0)
+    assert a.running() == b.running() == []
+    assert found.record.standing is Standing.OWNER and found.record.wanted is Wanted.STOPPED
 
 
 def test_a_task_that_comes_back_before_its_old_actor_has_ended_runs_once(fleet):
@@ -151,7 +151,7 @@ def test_a_task_that_comes_back_before_its_old_actor_has_ended_runs_once(fleet):
     fleet.run_for(0.5)
     assert a.running() == ["Count"] and fleet.agents["b"].running() == []
     assert a.component("client/Count") is not before
-    assert place(a, "Count").standing.record.phase is Phase.OWNER
+    assert place(a, "Count").record.standing is Standing.OWNER
     assert not a.events("task_failed")
     n = a.task("Count").state.n
     fleet.run_for(1.0)
@@ -172,9 +172,10 @@ def test_a_transfer_that_comes_late_brings_no_second_arrival(fleet):
     b = fleet.start("b")
     fleet.connect()
     assert a.reply_to(_move(fleet)).ok
-    record = place(b, "Count", "a").standing.record
-    (late,) = cut(Transfer(record.task_id, Epoch(1, "a"), record.snapshot))
-    a.publish("network", addressed(late, b.agent.mesh.identity.journal), to="b/client")
+    record, me = place(b, "Count", "a").record, identity(fleet, "a")
+    offer = Register(Epoch(0, me), 5, ((me,),), heir=identity(fleet, "b"))
+    late = Accept(record.task_id, record.type, "client", offer, to=offer.heir, state=record.snapshot)
+    say(fleet, "a", late, "b")
     fleet.run_for(0.1)
     assert b.ask(Restart("Count")).ok
     assert len(b.events("task_arrived")) == 1

@@ -7,8 +7,8 @@ import pytest
 from pancakes.control import Configure, Describe, Reschedule, Start, Stop
 from pancakes.devices import Load, Pose
 from pancakes.durable.client_service import ClientService
-from pancakes.durable.record import Record, Wanted
-from pancakes.durable.state_machine import idle
+from pancakes.durable.record import Record
+from pancakes.durable.register import Wanted
 from pancakes.journal import JournalError, MemoryJournal
 from pancakes.service import Service
 from pancakes.simulation.fleet import DISK_FULL
@@ -185,7 +185,7 @@ def test_the_last_state_is_the_one_that_holds_also_where_another_is_still_being_
     fleet.run_for(2.5)
     (place,) = agent.component("client").places.values()
     agent.task("Switch").state.on = True
-    assert fleet.run_until(lambda: not idle(place.standing))
+    assert fleet.run_until(lambda: not place.idle)
     agent.task("Switch").state.on = False
     fleet.stop("a")
     assert fleet.restart("a").task("Switch").state.on is False

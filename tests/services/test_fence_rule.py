@@ -2,8 +2,9 @@
 
 import pytest
 
-from pancakes.durable.ownership import TaskAt, whereabouts
-from pancakes.durable.record import Epoch, Phase, Record, TaskId
+from pancakes.durable.answers import fact_of
+from pancakes.durable.record import Record, TaskId
+from pancakes.durable.register import NOBODY, Epoch, Identity, Register, Standing
 from pancakes.packet import Fence
 from pancakes.services.fence_rule import (
     MOST_ASKED,
@@ -15,9 +16,11 @@ from pancakes.services.fence_rule import (
     Mark,
     May,
     PresentOwner,
+    TaskAt,
     answered,
     judged,
     present_owner,
+    task_at,
 )
 
 TASK = TaskId("b", "T")
@@ -31,21 +34,46 @@ def claim(peer, n=3, task_id="b/T"):
     return EpochClaim(Fence(task_id, (n, "x")), peer)
 
 
-def record(phase, peer="", n=1):
-    return Record(TASK, phase, Epoch(n, "x"), Epoch(n, "x"), offer=Epoch(n, "x"), peer=peer)
+ME = Identity("me", "j")
+
+
+def identity(name):
+    return Identity(name, "j") if name else NOBODY
+
+
+def epoch(n, name):
+    return Epoch(n, identity(name))
+
+
+def record(standing, peer="", n=1):
+    """Returns what an agent knows that stands so with the task; the peer has it, or it was offered to it or by it."""
+    mine, theirs = epoch(n, "me"), epoch(n, peer)
+    register = {
+        Standing.OWNER: Register(mine, 0, ((ME,),), state=b"", promised=mine),
+        Standing.OFFERED: Register(mine, 0, ((ME,),), heir=identity(peer), state=b"", promised=mine),
+        Standing.YIELDED: Register(epoch(n - 1, "me"), 0, ((ME,),), heir=identity(peer), state=b"", promised=theirs),
+        Standing.RELEASED: Register(theirs, -1, ((identity(peer),),), promised=theirs),
+        Standing.HEIR: Register(theirs, 0, ((identity(peer),),), heir=ME, state=b"", promised=theirs),
+        Standing.MEMBER: Register(theirs, 0, ((ME, identity(peer)),), state=b"", promised=theirs),
+        Standing.NONE: Register(promised=theirs),
+    }[standing]
+    gave = peer if standing in (Standing.YIELDED, Standing.RELEASED) else ""
+    found = Record(TASK, register, ME, gave=gave)
+    assert found.standing is standing
+    return found
 
 
 @pytest.mark.parametrize(
     ("peer", "mark", "known"),
     [
         ("me", None, None),
-        ("me", None, record(Phase.RELEASED, "c")),
+        ("me", None, record(Standing.RELEASED, "c")),
         ("b", None, None),  # where it was born
         ("b", Mark(2, "c", "c"), None),
         ("c", Mark(2, "x", "c"), None),  # which brought the last epoch
-        ("c", Mark(2, "x", "c"), record(Phase.OWNER)),  # a person has said so
-        ("c", None, record(Phase.RELEASED, "c")),
-        ("c", Mark(2, "me", "me"), record(Phase.COMMITTED, "c")),
+        ("c", Mark(2, "x", "c"), record(Standing.OWNER)),  # a person has said so
+        ("c", None, record(Standing.RELEASED, "c")),
+        ("c", Mark(2, "me", "me"), record(Standing.YIELDED, "c")),
     ],
 )
 def test_who_has_the_task_or_was_given_it_raises_the_fence(peer, mark, known):
@@ -55,8 +83,8 @@ def test_who_has_the_task_or_was_given_it_raises_the_fence(peer, mark, known):
 @pytest.mark.parametrize(
     ("peer", "mark", "known", "linked", "why"),
     [
-        ("c", None, record(Phase.OWNER), ["b", "c"], "b/T is here, under epoch 1"),
-        ("b", None, record(Phase.FROZEN, "b"), ["b", "c"], "b/T is here, under epoch 1"),
+        ("c", None, record(Standing.OWNER), ["b", "c"], "b/T is here, under epoch 1"),
+        ("b", None, record(Standing.OFFERED, "b"), ["b", "c"], "b/T is here, under epoch 1"),
         ("c", None, None, ["c"], "c is not known to have been given b/T, and b, which had it, cannot be asked"),
         (
             "c",
@@ -84,7 +112,7 @@ def test_what_is_no_task_raises_no_fence(task_id):
 def test_the_last_that_brought_an_epoch_is_asked_before_the_others():
     assert judged("me", claim("c"), marks(Mark(2, "x", "d")), None, ["b", "c", "d"]) == AskAgent("d")
     assert judged("me", claim("c"), marks(Mark(2, "x", "d")), None, ["b", "c"]) == AskAgent("b")
-    assert judged("me", claim("c"), marks(None), record(Phase.RELEASED, "d"), ["b", "c", "d"]) == AskAgent("d")
+    assert judged("me", claim("c"), marks(None), record(Standing.RELEASED, "d"), ["b", "c", "d"]) == AskAgent("d")
     assert judged("me", claim("c"), marks(Mark(2, "me", "me")), None, ["b", "c", "d"]) == AskAgent("b")
 
 
@@ -97,15 +125,23 @@ def test_an_actuator_that_has_seen_very_many_tasks_takes_no_new_one_from_elsewhe
     assert judged("me", claim("me"), seen, None, []) == May()
 
 
-@pytest.mark.parametrize("phase", [Phase.PREPARED, Phase.ABSENT])
-def test_an_agent_that_offers_a_task_is_not_thereby_known_to_have_it(phase):
-    assert judged("me", claim("c"), marks(None), record(phase, "c"), ["b", "c"]) == AskAgent("b")
+@pytest.mark.parametrize("standing", [Standing.HEIR, Standing.NONE, Standing.MEMBER])
+def test_an_agent_that_offers_a_task_is_not_thereby_known_to_have_it(standing):
+    assert judged("me", claim("c"), marks(None), record(standing, "c"), ["b", "c"]) == AskAgent("b")
+
+
+def test_an_offer_that_was_taken_back_does_not_say_who_has_the_task():
+    register = record(Standing.HEIR, "c").register._replace(heir=NOBODY, state=None)
+    known = Record(TASK, register, ME)
+    assert known.standing is Standing.RELEASED
+    assert judged("me", claim("c"), marks(None), known, ["b", "c"]) == AskAgent("b")
+    assert task_at("b/T", "me", fact_of(known)).peer == ""
 
 
 @pytest.mark.parametrize("mark", [None, Mark(135, "x", "c")])
 def test_no_step_is_further_than_tasks_come(mark):
     n = MOST_STEP + (mark.n if mark else 0)
-    known = record(Phase.RELEASED, "c", n=0)
+    known = record(Standing.RELEASED, "c", n=0)
     assert judged("me", claim("c", n), marks(mark), known, []) == May()
     assert isinstance(judged("me", claim("c", n + 1), marks(mark), known, []), ClaimRefused)
     assert judged("me", claim("me", n + 1), marks(mark), known, []) == May(), (
@@ -115,7 +151,7 @@ def test_no_step_is_further_than_tasks_come(mark):
 
 def test_answers_lead_from_one_that_had_it_to_the_next():
     def told(peer, by="b", asked=1, linked=("b", "c", "d")):
-        return answered(claim("c"), asked, by, TaskAt("b/T", peer, Epoch(3, "x")), linked)
+        return answered(claim("c"), asked, by, TaskAt("b/T", peer, epoch(3, "x")), linked)
 
     assert told("c") == May()
     assert told("d") == AskAgent("d")
@@ -128,21 +164,25 @@ def test_answers_lead_from_one_that_had_it_to_the_next():
 @pytest.mark.parametrize(
     ("known", "at"),
     [
-        (None, TaskAt("b/T")),
-        (record(Phase.OWNER), TaskAt("b/T", "me", Epoch(1, "x"))),
-        (record(Phase.FROZEN, "c"), TaskAt("b/T", "me", Epoch(1, "x"))),
-        (record(Phase.COMMITTED, "c", 2), TaskAt("b/T", "c", Epoch(2, "x"))),
-        (record(Phase.PREPARED, "c", 2), TaskAt("b/T")),
-        (record(Phase.ABSENT, "c", 2), TaskAt("b/T")),
-        (record(Phase.RELEASED, "c"), TaskAt("b/T", "c", Epoch(1, "x"))),
+        (record(Standing.OWNER), TaskAt("b/T", "me", epoch(1, "me"))),
+        (record(Standing.OFFERED, "c"), TaskAt("b/T", "me", epoch(1, "me"))),
+        (record(Standing.YIELDED, "c", 2), TaskAt("b/T", "c", epoch(2, "c"))),
+        (record(Standing.HEIR, "c", 2), TaskAt("b/T", "", epoch(2, "c"))),
+        (record(Standing.MEMBER, "c", 2), TaskAt("b/T", "", epoch(2, "c"))),
+        (record(Standing.NONE, "c", 2), TaskAt("b/T", "", epoch(2, "c"))),
+        (record(Standing.RELEASED, "c"), TaskAt("b/T", "c", epoch(1, "c"))),
     ],
 )
 def test_each_agent_says_what_its_record_says(known, at):
-    assert whereabouts("me", "b/T", known) == at
+    assert task_at("b/T", "me", fact_of(known)) == at
+
+
+def test_an_agent_that_has_never_heard_of_a_task_says_so():
+    assert task_at("b/T", "c", None) == TaskAt("b/T")
 
 
 def here(peer, n):
-    return TaskAt("b/T", peer, Epoch(n, peer))
+    return TaskAt("b/T", peer, epoch(n, peer))
 
 
 NOWHERE = TaskAt("b/T")
@@ -165,7 +205,7 @@ def test_of_all_that_have_a_task_the_one_with_the_highest_epoch_is_its_owner(own
 
 
 def test_a_fence_is_set_to_nothing_that_is_not_known():
-    gone = "no agent that is connected has b/T, so its fence stays as it is: adopt the task first"
+    gone = "no agent that is connected has b/T, so its fence stays as it is: recover the task first"
     assert present_owner("me", "b/T", NOWHERE, {"b": NOWHERE}) == ClaimRefused(gone)
     silent = present_owner("me", "b/T", here("me", 4), {"b": None, "c": here("c", 1)})
     assert silent == ClaimRefused("b did not say whether b/T is there: ask again, or end it first")

@@ -3,15 +3,19 @@
 import pytest
 from services.test_durable_fences import Circle, Wheels
 
-from pancakes.control import Describe, Migrate, Migrations, SetFence, Start
+from pancakes.control import Describe, Migrate, Migrations, SetFence, Start, Stop
 from pancakes.devices import Twist
-from pancakes.durable.ownership import TaskAt
-from pancakes.durable.record import Epoch
+from pancakes.durable.messages import REGISTRAR, Accept, Fact, Known, Prepare, addressed
+from pancakes.durable.record import TaskId
+from pancakes.durable.register import NO_EPOCH, Epoch, Identity, Register
+from pancakes.durable.rules import NO_WRITE
+from pancakes.durable.snapshot import Snapshot
 from pancakes.mesh.memory_network import Quality
 from pancakes.packet import Fence, Packet
 from pancakes.services.fence_rule import Mark
 from pancakes.testing import Fleet
 
+CIRCLE = TaskId("a", "Circle")
 CLASSES = {"test.Circle": Circle}
 REMOTE = {"type": "network.motors", "settings": {"target": "far/device/wheels"}}
 
@@ -36,6 +40,17 @@ def forge(fleet, speaker, epoch, task_id="a/Circle", to="far/device/wheels", for
 
 def marks(agent):
     return {it["task_id"]: (it["epoch"], it["brought_by"]) for it in agent.ask(Describe("wheels")).result["fences"]}
+
+
+def identity(fleet, name):
+    return Identity(name, fleet.agents[name].agent.mesh.identity.journal)
+
+
+def says(fleet, by, owner, n, to="far/device/wheels"):
+    """An agent says that another one has the task."""
+    epoch = Epoch(n, identity(fleet, owner))
+    told = Known(identity(fleet, by), (CIRCLE,), (Fact(CIRCLE, Register(epoch), gave=owner if owner != by else ""),))
+    fleet.agents[by].publish("network", told, to=to)
 
 
 def drives(fleet, agent="far"):
@@ -63,7 +78,8 @@ def test_a_stranger_does_not_lock_the_task_of_another_out_of_wheels_elsewhere(fl
     assert marks(far) == {} and far.kernel.registry.holder("wheels") == "", "and it does not keep them either"
     (refused,) = far.events("command_refused", by="z/device/wheels")
     assert refused["reason"] == (
-        "a does not know that z was given a/Circle; pancakes task fence shows which agent has it, and sets that right"
+        "a does not know that z was given a/Circle; `pancakes task recover` shows which agent has it, and sets that"
+        " right"
     )
     assert fleet.agents["a"].ask(Start("Circle")).ok
     assert drives(fleet) and marks(far) == {"a/Circle": (0, "a")}
@@ -128,11 +144,11 @@ def test_where_all_that_had_a_task_are_gone_a_person_sets_the_fence(fleet):
     assert not drives(fleet)
     reason = far.events("command_refused", by="c/device/wheels")[-1]["reason"]
     assert reason.startswith(
-        "c is not known to have been given a/Circle, and a, which had it, cannot be asked; pancakes"
+        "c is not known to have been given a/Circle, and a, which had it, cannot be asked; `pancakes"
     )
 
     tried = far.ask(SetFence("wheels", "a/Circle", dry_run=True))
-    told = {"actuator": "far/device/wheels", "task_id": "a/Circle", "owner": "c", "before": "0@a", "now": "2@b"}
+    told = {"actuator": "far/device/wheels", "task_id": "a/Circle", "owner": "c", "before": "0@a", "now": "2@c"}
     assert tried.ok and tried.result == told
     assert marks(far) == {"a/Circle": (0, "a")} and not drives(fleet)
 
@@ -141,7 +157,7 @@ def test_where_all_that_had_a_task_are_gone_a_person_sets_the_fence(fleet):
     assert drives(fleet) and marks(far) == {"a/Circle": (2, "c")}
     (account,) = far.ask(Migrations()).result
     assert (account["outcome"], account["winner"], account["task_id"]) == ("fenced", "c", "a/Circle")
-    assert account["reason"] == "the fence of far/device/wheels was at 0@a, and is at 2@b now"
+    assert account["reason"] == "the fence of far/device/wheels was at 0@a, and is at 2@c now"
     assert account["duration_s"] == 0.0
     assert far.events("fence_set", task="wheels")[-1]["owner"] == "c"
 
@@ -166,7 +182,7 @@ def test_a_fence_that_was_set_too_high_is_set_back_and_the_wheels_hold_meanwhile
 def test_a_fence_is_not_set_where_no_agent_has_the_task_or_one_does_not_answer(fleet):
     far = lost(fleet)
     assert "no agent that is connected has b/Other" in far.ask(SetFence("wheels", "b/Other")).reason
-    fleet.agents["c"].kernel.stream.unsubscribe("c/kernel/Courier")
+    fleet.agents["c"].kernel.stream.unsubscribe("c/kernel/Registrar")
     refused = far.ask(SetFence("wheels", "a/Circle"))
     assert refused.reason == "c did not say whether a/Circle is there: ask again, or end it first"
     assert marks(far) == {"a/Circle": (0, "a")}
@@ -179,7 +195,7 @@ def test_what_another_than_the_asked_agent_says_of_a_task_raises_no_fence(fleet)
     fleet.connect()
     fleet.network.set_quality("far", "a", Quality(latency_s=0.3))
     forge(fleet, "z", (5, "z"), for_s=0.05)
-    fleet.agents["y"].publish("network", TaskAt("a/Circle", "z", Epoch(5, "z")), to="far/device/wheels")
+    says(fleet, "y", "z", 5)
     fleet.run_for(2.0)
     assert marks(far) == {} and len(far.events("command_refused", by="z/device/wheels")) == 1
 
@@ -189,16 +205,16 @@ def test_what_an_agent_says_that_was_not_asked_for_it_sets_no_fence(fleet):
     far = lost(fleet)
     questions: list[Packet] = []
     answers: list[Packet] = []
-    far.kernel.stream.tap_outgoing(lambda packet: questions.append(packet) if packet.type == "task.where" else None)
-    far.kernel.stream.tap("network", answers.append, ("task.at",))
+    far.kernel.stream.tap_outgoing(lambda packet: questions.append(packet) if packet.type == "task.who_has" else None)
+    far.kernel.stream.tap("network", answers.append, ("task.known",))
     fleet.network.set_quality("far", "c", Quality(latency_s=0.4))
     asked = far.publish("sysctrl", SetFence("wheels", "a/Circle", dry_run=True))
     assert fleet.run_until(lambda: questions)
     z = fleet.start("z")
     assert fleet.run_until(lambda: "far" in z.agent.mesh.neighbours(), 0.5)
-    z.publish("network", TaskAt("a/Circle", "z", Epoch(9, "z")), to="far/device/wheels")
+    says(fleet, "z", "z", 9)
     assert far.reply_to(asked).result["owner"] == "c"
-    assert [packet.destination for packet in questions] == ["c/kernel/Courier"]
+    assert [packet.destination for packet in questions] == ["c/kernel/Registrar"]
     assert [packet.source.split("/")[0] for packet in answers] == ["z", "c"]
 
 
@@ -240,7 +256,7 @@ def test_an_answer_that_comes_late_lowers_no_fence(fleet):
     assert a.ask(Migrate("Circle", to="c")).ok
     fleet.network.set_quality("far", "a", Quality(latency_s=0.3))
     asked: list[Packet] = []
-    a.kernel.stream.tap("network", asked.append, ("task.where",))
+    a.kernel.stream.tap("network", asked.append, ("task.who_has",))
     fleet.network.heal()
     assert fleet.run_until(lambda: asked, timeout_s=30.0)
     fences = far.component("device").slots["wheels"].spec.arguments["fences"].fences
@@ -256,7 +272,7 @@ def test_one_that_claims_all_the_time_costs_one_question_a_second_and_one_line(f
     fleet.start("z")
     fleet.connect()
     asked: list[Packet] = []
-    a.kernel.stream.tap("network", asked.append, ("task.where",))
+    a.kernel.stream.tap("network", asked.append, ("task.who_has",))
     for number in range(200):
         forge(fleet, "z", (number + 5, "z"), for_s=0.01)
     assert 1 <= len(asked) <= 3
@@ -295,11 +311,11 @@ def test_an_agent_that_does_not_say_to_whom_it_gave_a_task_is_named(fleet):
     a = fleet.start("a")
     fleet.start("z")
     fleet.connect()
-    a.kernel.stream.unsubscribe("a/kernel/Courier")
+    a.kernel.stream.unsubscribe("a/kernel/Registrar")
     for _ in range(6):
         forge(fleet, "z", (5, "z"))
     (refused,) = far.events("command_refused", by="z/device/wheels")
-    assert refused["reason"].startswith("a does not say where it gave a/Circle; pancakes task fence")
+    assert refused["reason"].startswith("a does not say where it gave a/Circle; `pancakes task recover`")
 
 
 def test_an_agent_whose_claim_was_refused_makes_another_after_a_second(fleet):
@@ -328,18 +344,67 @@ def test_a_claim_takes_the_place_of_one_of_the_same_agent_that_another_is_asked_
 def test_agents_that_name_each_other_as_the_owner_are_asked_eight_times_in_all(fleet):
     far = fleet.start("far", devices={"wheels": Wheels})
     for name in "abz":
-        fleet.start(name).kernel.stream.unsubscribe(f"{name}/kernel/Courier")
+        fleet.start(name).kernel.stream.unsubscribe(f"{name}/kernel/Registrar")
     fleet.connect()
     questions: list[Packet] = []
-    far.kernel.stream.tap_outgoing(lambda packet: questions.append(packet) if packet.type == "task.where" else None)
+    far.kernel.stream.tap_outgoing(lambda packet: questions.append(packet) if packet.type == "task.who_has" else None)
     forge(fleet, "z", (5, "z"), for_s=0.05)
     asked: list[str] = []
     while len(asked) < min(len(questions), 20):
         asked.append(questions[len(asked)].destination.partition("/")[0])
         other = "b" if asked[-1] == "a" else "a"
-        fleet.agents[asked[-1]].publish("network", TaskAt("a/Circle", other, Epoch(5, "z")), to="far/device/wheels")
+        says(fleet, asked[-1], other, 5)
         fleet.run_for(0.05)
     assert asked == ["a", "b"] * 4
     (refused,) = far.events("command_refused", by="z/device/wheels")
     assert refused["reason"].startswith("b gave a/Circle to a, and not to z; ")
     assert marks(far) == {}
+
+
+@pytest.mark.parametrize("how", ["asked for a promise", "made a member", "offered it, and took it back"])
+@pytest.mark.parametrize("moved", [False, True], ids=["of a task that it never had", "of a task that it gave away"])
+def test_agent_vouches_for_no_stranger_that_has_spoken_to_it(fleet, how, moved):
+    """Z tells the agent of the wheels, and one that had the task, what it likes."""
+    far = fleet.start("far", devices={"wheels": Wheels})
+    a = fleet.start("a", devices={"wheels": REMOTE}, tasks={"Circle": {"type": Circle, "start": moved}})
+    b = fleet.start("b", devices={"wheels": REMOTE})
+    fleet.start("z", devices={"wheels": REMOTE})
+    fleet.connect()
+    fleet.run_for(0.5)
+    if moved:
+        for source, to in ((a, "b"), (b, "a")):
+            assert source.ask(Migrate("Circle", to=to)).ok
+            fleet.run_for(1.0)
+        assert a.ask(Stop("Circle")).ok
+        fleet.run_for(1.0)
+    at = marks(far)
+    for name in ("far", "b"):
+        lie(fleet, how, name)
+    fleet.run_for(1.0)
+    forge(fleet, "z", (9, "z"))
+    assert marks(far) == at
+    fleet.run_for(1.0)
+    assert a.ask(Start("Circle")).ok
+    assert drives(fleet)
+
+
+def lie(fleet, how, to):
+    z, other = identity(fleet, "z"), identity(fleet, to)
+    epoch, state = Epoch(9, z), Snapshot(CIRCLE, "test.Circle", "", "client", requires=("motors",)).encode()
+    if how == "asked for a promise":
+        say(fleet, Prepare(CIRCLE, "test.Circle", epoch, (NO_EPOCH, NO_WRITE), ((other,),)), to)
+        return
+    is_offer = how.startswith("offered")
+    members = ((z,),) if is_offer else ((z, other),)
+    write = Register(epoch, 1, members, heir=other if is_offer else Identity(""))
+    say(fleet, Accept(CIRCLE, "test.Circle", "client", write, to=write.heir, state=state), to)
+    if is_offer:
+        later = Register(epoch, 2, members)
+        say(fleet, Known(z, (), (Fact(CIRCLE, later),)), to)
+
+
+def say(fleet, body, to):
+    if hasattr(body, "journal"):
+        body = addressed(body, identity(fleet, to).journal)
+    fleet.agents["z"].publish("network", body, to=f"{to}/{REGISTRAR}")
+    fleet.run_for(0.3)

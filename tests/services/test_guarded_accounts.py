@@ -10,11 +10,14 @@ import pytest
 from services.counting import Count
 
 from pancakes.control import Create, Guarding, Migrations, Stop, Take
-from pancakes.durable.guardian import CALLED_S
+from pancakes.durable.takeovers import CALLED_S
 from pancakes.packet import NETWORK, Packet
 from pancakes.testing import Fleet
 
-GUARDED = {"type": "test.Count", "guard": 3, "lease_s": 2.0, "checkpoint_s": 0.5, "guardians": ["b", "c"]}
+GUARDED: Any = {
+    "type": "test.Count",
+    "guard": {"copies": 3, "lease_s": 2.0, "checkpoint_s": 0.5, "guardians": ["b", "c"]},
+}
 CAUSE = r"taken over from a, silent for (\d+\.\d) s; checkpoint 0@a/\d+, (\d\.\d) s old at its last word"
 
 
@@ -28,7 +31,7 @@ class Idle(Count):
 @pytest.fixture(params=["auto", "ask"])
 def fleet(request: Any) -> Iterator[Fleet]:
     with Fleet(seed=5, classes={"test.Count": Count, "test.Idle": Idle}) as made:
-        made.start("a", tasks={"Count": {**GUARDED, "takeover": request.param}})
+        made.start("a", tasks={"Count": {**GUARDED, "guard": {**GUARDED["guard"], "takeover": request.param}}})
         for name in "bc":
             made.start(name)
         made.connect()
@@ -113,7 +116,7 @@ def test_a_task_that_a_person_has_stopped_is_taken_over_by_none(fleet: Fleet):
 
 
 def test_of_two_tasks_of_one_name_the_birthplace_says_which_is_taken_over():
-    rule = {**GUARDED, "takeover": "ask", "guardians": ["c", "d"]}
+    rule = {**GUARDED, "guard": {**GUARDED["guard"], "takeover": "ask", "guardians": ["c", "d"]}}
     with Fleet(seed=5, classes={"test.Count": Count}) as fleet:
         for name in "ab":
             fleet.start(name, tasks={"Count": rule})
@@ -176,7 +179,7 @@ def test_where_the_cheapest_bidder_dies_once_it_is_called_the_next_one_takes_it(
     d = fleet.start("d")
     fleet.connect()
     called: list[Packet] = []
-    d.kernel.stream.tap(NETWORK, called.append, ("guard.call",))
+    d.kernel.stream.tap(NETWORK, called.append, ("task.call",))
     for name in "bc":
         assert fleet.agents[name].ask(Create("Other", "test.Count")).ok
 
@@ -191,3 +194,16 @@ def test_where_the_cheapest_bidder_dies_once_it_is_called_the_next_one_takes_it(
     assert account["winner"] in ("b", "c")
     fates = {line["peer"]: (line["fate"], line["reason"]) for line in account["lines"]}
     assert fates["d"] == ("failed", f"did not take it within {CALLED_S:g} s")
+
+
+@pytest.mark.parametrize("fleet", ["auto"], indirect=True)
+def test_an_agent_that_does_not_guard_it_takes_it_if_it_bids_lowest(fleet: Fleet):
+    """Each of the two guardians that are left promises it: one has called it, the other hears that from that one."""
+    fleet.start("d")
+    fleet.connect()
+    for name in "bc":
+        assert fleet.agents[name].ask(Create("Other", "test.Count")).ok
+    fleet.crash("a")
+    assert fleet.run_until(lambda: fleet.agents["d"].running() == ["Count"], 6)
+    (account,) = (row for row in accounts(fleet) if row["task_id"] == "a/Count")
+    assert account["winner"] == "d" and [line["fate"] for line in account["lines"]].count("failed") == 0

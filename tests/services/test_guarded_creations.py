@@ -12,7 +12,7 @@ from pancakes.control import Configure, Create, Guarding, Remove, Start, Stop
 from pancakes.durable.record import TaskId
 from pancakes.testing import AgentHandle, Fleet
 
-GUARDED = Create("Count", "test.Count", {"step": 2}, 5.0, {"guard": 3, "lease_s": 2.0})
+GUARDED = Create("Count", "test.Count", {"step": 2}, 5.0, {"guard": {"copies": 3, "lease_s": 2.0}})
 
 
 @pytest.fixture

@@ -2,17 +2,18 @@
 
 from services.counting import Count
 from services.numbered import SINK, Numbered, Sink, numbers, upto
+from services.strangers import identity, say
 
-from pancakes.control import Describe, Guarding, Reply, Stop, Take
+from pancakes.control import Describe, Guarding, Reply, Stop
 from pancakes.devices.driver import Actuator
-from pancakes.durable.messages import KeepLease, SeizeTask, addressed
-from pancakes.durable.record import Epoch, Phase, TaskId
+from pancakes.durable.messages import Accept, Prepare
+from pancakes.durable.record import TaskId
+from pancakes.durable.register import Epoch, Standing
 from pancakes.mesh.memory_network import Quality
-from pancakes.supervision.messages import GUARDIAN
 from pancakes.task import every
 from pancakes.testing import Fleet
 
-GUARD = {"guard": 3, "lease_s": 2.0, "guardians": ["b", "c"]}
+GUARD = {"copies": 3, "lease_s": 2.0, "guardians": ["b", "c"]}
 
 
 class Wheels(Actuator):
@@ -51,14 +52,14 @@ class Late(Count):
         self.publishes()
 
 
-def guarded(name, cls, **others):
+def guarded(name, cls, takeover="auto", **others):
     fleet = Fleet(seed=5)
     devices = {"motors": Wheels} if cls is Drive else None
-    fleet.start("a", tasks={name: {"type": cls, **GUARD, **others}}, devices=devices)
+    fleet.start("a", tasks={name: {"type": cls, "guard": {**GUARD, "takeover": takeover}, **others}}, devices=devices)
     for other in "bcd":
         fleet.start(other)
     fleet.connect()
-    assert fleet.run_until(lambda: record(fleet, name).guards.version == 2, 10)
+    assert fleet.run_until(lambda: len(record(fleet, name).register.sets) == 1 and record(fleet, name).guarded, 10)
     fleet.run_for(1.0)
     return fleet
 
@@ -93,32 +94,32 @@ def test_nothing_is_acknowledged_that_a_quorum_does_not_have():
 def test_a_state_that_did_not_change_is_not_sent_again():
     with guarded("Sink", Sink) as fleet:
         keeps = []
-        fleet.agents["b"].kernel.stream.tap("network", lambda packet: keeps.append(packet.body), ("guard.keep",))
+        fleet.agents["b"].kernel.stream.tap("network", lambda packet: keeps.append(packet.body), ("task.accept",))
         fleet.run_for(5.0)
-        assert len(keeps) >= 8 and all(isinstance(keep, KeepLease) and keep.body is None for keep in keeps)
+        assert len(keeps) >= 8 and all(isinstance(keep, Accept) and keep.state is None for keep in keeps)
         fleet.agents["d"].publish("system", Numbered(1), to=SINK)
         fleet.run_for(5.0)
-        assert sum(keep.body is not None for keep in keeps) == 1
+        assert sum(keep.state is not None for keep in keeps) == 1
 
 
 def test_a_state_that_is_on_its_way_to_a_guardian_is_not_sent_again():
     with guarded("Sink", Sink) as fleet:
         keeps = []
-        fleet.agents["b"].kernel.stream.tap("network", lambda packet: keeps.append(packet.body), ("guard.keep",))
+        fleet.agents["b"].kernel.stream.tap("network", lambda packet: keeps.append(packet.body), ("task.accept",))
         fleet.network.set_quality("a", "b", Quality(latency_s=0.35))  # there and back: longer than from lease to lease
         fleet.agents["d"].publish("system", Numbered(1), to=SINK)
         fleet.run_for(5.0)
-        assert sum(keep.body is not None for keep in keeps) == 1
+        assert sum(keep.state is not None for keep in keeps) == 1
 
 
 def test_its_guardians_are_chosen_as_soon_as_its_neighbours_have_had_time_to_answer():
     with Fleet(seed=5) as fleet:
         for other in "bcd":
             fleet.start(other)
-        fleet.start("a", tasks={"Count": {"type": Count, **GUARD}})
+        fleet.start("a", tasks={"Count": {"type": Count, "guard": GUARD}})
         fleet.connect()
         begin_s = fleet.now()
-        assert fleet.run_until(lambda: len(record(fleet, "Count").guards.members()) == 3, 10)
+        assert fleet.run_until(lambda: len(record(fleet, "Count").members) == 3, 10)
         assert fleet.now() - begin_s < 1.5
 
 
@@ -156,23 +157,20 @@ def test_a_turn_that_outlasts_its_permit_is_no_failure_of_the_task():
         assert Late.in_time and (described["state"], described["failures"]) == ("running", 0)
 
 
-def test_where_the_guardians_follow_an_agent_that_never_came_the_owner_gives_it_up():
+def test_a_member_that_was_promised_the_task_and_is_gone_keeps_it_from_nobody():
     with guarded("Count", Count, takeover="ask") as fleet:
-        a, d, before = fleet.agents["a"], fleet.agents["d"], record(fleet, "Count")
+        a, before = fleet.agents["a"], record(fleet, "Count")
         fleet.faults.cut("a")
         fleet.run_for(4.0)
-        for name in "bc":
-            seize = SeizeTask(before.task_id, a.slot("Count").spec.type, Epoch(1, "d"), before.guards)
-            journal = fleet.agents[name].agent.mesh.identity.journal
-            d.publish("network", addressed(seize, journal), to=f"{name}/{GUARDIAN}")
+        register, c = before.register, identity(fleet, "c")
+        say(fleet, "c", Prepare(before.task_id, before.type, Epoch(1, c), register.stamp, register.sets), "b")
         fleet.run_for(0.5)
+        assert record(fleet, "Count", "b").register.promised == Epoch(1, c)
+        fleet.crash("c")
         fleet.faults.calm()
         fleet.run_for(12.0)
-        assert a.running() == [] and record(fleet, "Count").phase is Phase.RELEASED
-        took = fleet.agents["b"].ask(Take("Count"))
-        assert took.ok, took.reason
-        fleet.run_for(2.0)
-        assert fleet.agents[took.result["winner"]].running() == ["Count"]
+        assert a.running() == ["Count"] and running(fleet, "Count") == ["a"]
+        assert record(fleet, "Count").standing is Standing.OWNER and record(fleet, "Count").epoch.n > 1
 
 
 def test_a_former_owner_that_returns_keeps_its_guardians_from_no_take_over_where_the_later_owner_is_gone_too():
@@ -211,11 +209,14 @@ def test_a_permit_that_is_over_by_the_clock_lets_nothing_out_although_no_timer_h
         assert fleet.run_until(lambda: running(fleet, "Count"), 20)
 
 
-def test_a_task_that_its_file_guards_no_more_is_guarded_by_its_owner_alone():
+def test_a_task_that_its_file_guards_no_more_has_no_other_member():
     with guarded("Count", Count) as fleet:
         fleet.crash("a")
         a = fleet.start("a", tasks={"Count": Count})
         fleet.connect()
         fleet.run_for(5.0)
-        (row,) = a.ask(Guarding()).result
-        assert (row["guard"], row["guardians"], a.running()) == (1, ["a"], ["Count"])
+        assert record(fleet, "Count").register.unguarded and a.running() == ["Count"]
+        assert a.ask(Guarding()).result == []
+        fleet.faults.cut("a")
+        fleet.run_for(5.0)
+        assert running(fleet, "Count") == ["a"], "it needs no lease"

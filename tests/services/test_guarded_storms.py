@@ -32,14 +32,14 @@ def test_guarded_task_needs_clocks_five_percent_apart_at_most(apart, holds):
     """A lease is longer than a permit by just that."""
     DONE.clear()
     with Fleet(seed=7, classes={"test.Act": Act}) as fleet:
-        task = {"type": Act, "guard": 3, "lease_s": 10.0}
+        task = {"type": Act, "guard": {"copies": 3, "lease_s": 10.0}}
         fleet.start("a", tasks={"Act": task}, clock_rate=1.0 - apart)
         fleet.start("b", clock_rate=1.0 + apart)
         fleet.start("c", clock_rate=1.0 + apart)
         fleet.connect()
         fleet.run_for(9.5)  # the guardians have just answered
         record = fleet.agents["a"].agent.records.get(ACT)
-        assert record is not None and record.guards.version == 2
+        assert record is not None and len(record.register.sets) == 1 and record.guarded
         fleet.faults.cut("a", for_s=14.0)
         fleet.run_for(30.0)
         epochs = [epoch for _, epoch in DONE]

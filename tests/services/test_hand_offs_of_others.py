@@ -3,17 +3,20 @@
 import pytest
 from msgspec.structs import replace
 from services.counting import Count
+from services.strangers import ask_for_room, heard_by, identity, offer, owns, room, say, tell
 
 from pancakes.control import Checkpoints, Forget, Migrate, Stop
-from pancakes.durable.arrivals import MOST_IN_DOUBT
-from pancakes.durable.host_state import MOST_SLOTS
-from pancakes.durable.messages import Bid, Commit, Nak, Piece, Reserve, Reserved, Solicit, Transfer, addressed
-from pancakes.durable.record import Epoch, Phase, TaskId
-from pancakes.durable.snapshot import Snapshot, cut
+from pancakes.durable.bidding_messages import MIGRATOR
+from pancakes.durable.messages import Accept, Bid, Fact, Promise, Refuse, addressed
+from pancakes.durable.record import TaskId
+from pancakes.durable.register import Epoch, Identity, Register, Standing
+from pancakes.durable.registrar import MOST_OFFERED
+from pancakes.durable.snapshot import cut
 from pancakes.packet import Packet
 from pancakes.testing import Fleet
 
 COUNT = TaskId("a", "Count")
+SOLICIT = "migration.solicit"
 
 
 @pytest.fixture
@@ -27,69 +30,55 @@ def fleet():
         yield made
 
 
-def say(fleet, speaker, message, to, at="client"):
-    journal = fleet.agents[to].agent.mesh.identity.journal
-    fleet.agents[speaker].publish("network", addressed(message, journal), to=f"{to}/{at}")
+def is_heir(fleet, name="b"):
+    record = fleet.agents[name].agent.records.get(COUNT)
+    return record is not None and record.standing is Standing.HEIR
 
 
-def answers_to(fleet, name):
-    """Returns what an agent is told from now on of hand-offs; the list grows."""
-    told = []
-    fleet.agents[name].kernel.stream.tap("network", lambda packet: told.append(packet.body))
-    return told
-
-
-def place_for(fleet, name, of=None):
-    """Returns how c asks for a place for a task that was born there; `of`: the task that it describes."""
-    version = fleet.agents["a"].slot("Count").spec.version
-    offer = Epoch(1, "c")
-    return Reserve(TaskId("c", name), offer, Solicit(TaskId("c", of or name), 1, "test.Count", version, "client"))
-
-
-def test_a_snapshot_that_no_place_was_promised_for_is_declined_and_leaves_nothing(fleet):
-    answers = []
-    fleet.agents["c"].kernel.stream.tap("network", lambda packet: answers.append(packet.body))
-    for piece in cut(Transfer(TaskId("c", "Count"), Epoch(1, "c"), bytes(200_000))):
+def test_a_state_for_which_no_room_was_asked_is_declined_and_leaves_nothing(fleet):
+    answers, task_id = heard_by(fleet, "c", Refuse), TaskId("c", "Count")
+    offered = offer(fleet, "c", task_id, "b")
+    say(fleet, "c", offered, "b")
+    later = offered.register._replace(no=2)
+    say(fleet, "c", Accept(task_id, "test.Count", "client", later, to=later.heir), "b")
+    for piece in cut(task_id, later.stamp, bytes(200_000)):
         say(fleet, "c", piece, "b")
     fleet.run_for(1.0)
-    assert {type(answer) for answer in answers} == {Nak}
-    assert {answer.refusal.text for answer in answers} == {"was not asked for a place for it first"}
+    texts = {answer.refusal.text for answer in answers}
+    assert texts == {"was not asked for room for it first"} and len(answers) == 2
     assert fleet.agents["b"].agent.records.all() == {}
 
 
-def test_a_third_that_asks_for_a_place_for_a_task_on_its_way_takes_it_from_none(fleet):
-    """Whether it may have one or not: the task goes on, and arrives."""
+def test_a_third_that_asks_for_room_for_a_task_on_its_way_takes_it_from_none(fleet):
+    """Whether it may have it or not: the task goes on, and arrives."""
     b = fleet.agents["b"]
     begun: list[Packet] = []
-    b.kernel.stream.tap("network", begun.append, ("migration.reserve",))
+    b.kernel.stream.tap("network", lambda packet: begun.append(packet) if packet.body.hold else None, (SOLICIT,))
     asked = fleet.agents["a"].publish("sysctrl", Migrate("Count", to="b"))
     assert fleet.run_until(lambda: begun)
-    answers = []
-    fleet.agents["c"].kernel.stream.tap("network", lambda packet: answers.append(packet.body))
-    offer = Epoch(9, "c")
-    good = replace(begun[0].body, offer=offer, journal="")
-    for request in (good, replace(good, request=replace(good.request, type="nope"))):
-        say(fleet, "c", request, "b")
+    answers = heard_by(fleet, "c", Refuse)
+    for request in (room(fleet, COUNT), room(fleet, COUNT, "nope")):
+        ask_for_room(fleet, "c", request, "b")
     assert fleet.agents["a"].reply_to(asked).ok
     assert b.running() == ["Count"]
-    assert [answer.refusal.text for answer in answers if isinstance(answer, Nak)]
+    assert [answer.refusal.text for answer in answers]
 
 
 @pytest.mark.parametrize("moved", [False, True], ids=["from its birthplace", "from where it has moved"])
 def test_task_is_taken_only_from_an_agent_that_has_it(fleet, moved):
-    """C has the code of the task, makes up an epoch, a snapshot and the rest, and gives what it never had."""
+    """C has the code of the task, makes up an epoch, a state and the rest, and gives what it never had."""
     owner = "a"
+    request = room(fleet, COUNT)
     if moved:
         fleet.start("d")
         fleet.connect()
         assert fleet.agents["a"].ask(Migrate("Count", to="d")).ok
         owner = "d"
-    answers = answers_to(fleet, "c")
-    request = Solicit(COUNT, 1, "test.Count", place_for(fleet, "Count").request.version, "client")
-    say(fleet, "c", Reserve(COUNT, Epoch(9, "c"), request), "b")
+    answers = heard_by(fleet, "c", Bid, Refuse)
+    ask_for_room(fleet, "c", request, "b")
     fleet.run_for(1.0)
-    (refused,) = [answer for answer in answers if isinstance(answer, Nak | Reserved)]
-    assert isinstance(refused, Nak) and refused.refusal.text.startswith(f"{owner} has a/Count, under the epoch ")
+    (refused,) = answers
+    assert isinstance(refused, Refuse) and refused.refusal.text.startswith(f"{owner} has a/Count, under the epoch ")
     assert "c has no right to it" in refused.refusal.text
     assert fleet.agents[owner].running() == ["Count"]
 
@@ -109,12 +98,15 @@ def test_task_goes_on_from_agents_that_are_gone(fleet, lost):
 
 
 def test_of_made_up_tasks_nothing_is_kept(fleet):
-    b = fleet.agents["b"]
+    b, c = fleet.agents["b"], identity(fleet, "c")
     before = dict(b.component("client").places)
     for number in range(500):
-        say(fleet, "c", Commit(TaskId("c", f"T{number}"), Epoch(1, "c")), "b")
+        task_id = TaskId("c", f"T{number}")
+        say(fleet, "c", Promise(task_id, Epoch(1, identity(fleet, "b")), c, Register(Epoch(0, c))), "b")
+        tell(fleet, "c", "b", owns(fleet, "c", task_id))
     fleet.run_for(1.0)
-    assert dict(b.component("client").places) == before
+    assert dict(b.component("client").places) == before and b.agent.records.all() == {}
+    assert list(b.component("kernel/Registrar").entries) == []
 
 
 def test_the_service_of_a_task_on_its_way_is_not_stopped(fleet):
@@ -122,10 +114,7 @@ def test_the_service_of_a_task_on_its_way_is_not_stopped(fleet):
     a, b = fleet.agents["a"], fleet.agents["b"]
     a.publish("sysctrl", Migrate("Count", to="b"))
 
-    def is_prepared():
-        return COUNT in b.agent.records.all() and b.agent.records.all()[COUNT].phase is Phase.PREPARED
-
-    assert fleet.run_until(is_prepared)
+    assert fleet.run_until(lambda: is_heir(fleet))
     fleet.network.partition(["a"])
     for agent in (a, b):
         reply = agent.ask(Stop("client", dry_run=True))
@@ -135,67 +124,43 @@ def test_the_service_of_a_task_on_its_way_is_not_stopped(fleet):
     assert a.running() == ["Count"], "b never said that it has it"
 
 
-def test_a_third_agent_neither_gives_a_task_away_nor_sends_its_snapshot(fleet):
-    """b has the snapshot on disk, and a has not heard so."""
-    a, b = fleet.agents["a"], fleet.agents["b"]
-    taken = []
-    b.kernel.stream.tap("network", lambda packet: taken.append(packet.body))
+def test_a_third_agent_neither_gives_a_task_away_nor_sends_its_state(fleet):
+    """B has the state on disk, and a has not heard so."""
+    a, b, c = fleet.agents["a"], fleet.agents["b"], identity(fleet, "c")
     a.publish("sysctrl", Migrate("Count", to="b"))
-
-    def is_prepared():
-        return COUNT in b.agent.records.all() and b.agent.records.all()[COUNT].phase is Phase.PREPARED
-
-    assert fleet.run_until(is_prepared)
+    assert fleet.run_until(lambda: is_heir(fleet))
     fleet.network.partition(["a"])
     record = b.agent.records.all()[COUNT]
-    say(fleet, "c", Commit(COUNT, record.offer), "b")
-    for piece in [body for body in taken if isinstance(body, Piece)]:
-        later = Epoch(piece.offer.n + 1, piece.offer.minter)
-        say(fleet, "c", replace(piece, offer=later, journal=""), "b")
+    taking = b.component("kernel/Registrar").entries[COUNT].memory.taking
+    say(fleet, "c", Promise(COUNT, taking, c, record.register.summary(), record.snapshot), "b")
+    say(fleet, "c", Promise(COUNT, taking, record.register.owner, record.register.summary(), record.snapshot), "b")
+    say(fleet, "c", offer(fleet, "c", COUNT, "b", n=1), "b")
+    later = record.register.summary()._replace(no=record.register.no + 1, heir=Identity(""))
+    tell(fleet, "c", "b", Fact(COUNT, later))
     fleet.run_for(1.0)
     assert b.agent.records.all()[COUNT] == record
     assert b.running() == []
 
 
-def test_a_request_for_a_place_is_about_one_task(fleet):
-    answers = answers_to(fleet, "c")
-    say(fleet, "c", place_for(fleet, "T1", of="T2"), "b")
-    fleet.run_for(1.0)
-    assert [answer.refusal.text for answer in answers] == ["was asked for a place for c/T1 and told of c/T2"]
-
-
-def test_an_agent_keeps_so_many_places_for_a_peer(fleet):
-    answers = answers_to(fleet, "c")
-    for number in range(MOST_SLOTS + 1):
-        say(fleet, "c", place_for(fleet, f"T{number}"), "b")
-    fleet.run_for(1.0)
-    assert [type(answer) for answer in answers].count(Reserved) == MOST_SLOTS
-    refusal = answers[-1].refusal
-    assert (refusal.code, refusal.text) == ("busy", "keeps 64 places for tasks of c already")
-    assert refusal.retry_after_s > 0
-
-
 def bring(fleet, name):
     """C brings a task to b, and never gives it away."""
-    asked = place_for(fleet, name)
-    say(fleet, "c", asked, "b")
+    task_id, request = TaskId("c", name), room(fleet, TaskId("c", name))
+    ask_for_room(fleet, "c", request, "b")
     fleet.run_for(0.1)
-    snapshot = Snapshot(asked.task_id, "test.Count", asked.request.version, "client")
-    for piece in cut(Transfer(asked.task_id, asked.offer, snapshot.encode())):
-        say(fleet, "c", piece, "b")
+    say(fleet, "c", offer(fleet, "c", task_id, "b", version=request.version), "b")
     fleet.run_for(0.1)
 
 
 def kept(fleet):
-    return [it.task_id.name for it in fleet.agents["b"].agent.records.all().values() if it.phase is Phase.PREPARED]
+    return [it.task_id.name for it in fleet.agents["b"].agent.records.all().values() if it.standing is Standing.HEIR]
 
 
 def test_what_a_peer_brings_and_never_gives_away_is_bounded(fleet):
-    answers = answers_to(fleet, "c")
-    for number in range(MOST_IN_DOUBT + 3):
+    answers = heard_by(fleet, "c", Refuse)
+    for number in range(MOST_OFFERED + 3):
         bring(fleet, f"T{number}")
-    assert len(kept(fleet)) == MOST_IN_DOUBT
-    reasons = [answer.refusal.text for answer in answers if isinstance(answer, Nak)]
+    assert len(kept(fleet)) == MOST_OFFERED
+    reasons = [answer.refusal.text for answer in answers]
     assert reasons and "keeps 64 tasks that c has brought and not handed over" in reasons[0]
     assert fleet.agents["a"].ask(Migrate("Count", to="b")).ok, "that of others has its place"
 
@@ -203,39 +168,38 @@ def test_what_a_peer_brings_and_never_gives_away_is_bounded(fleet):
 def test_what_a_lost_peer_has_brought_can_be_dropped(fleet):
     b = fleet.agents["b"]
     bring(fleet, "T1")
-    assert "c is connected" in b.ask(Forget("T1", force=True)).reason
+    assert "c is connected" in b.ask(Forget("T1")).reason
     (row,) = b.ask(Checkpoints("")).result
     assert (row["task_id"], row["held"], row["peer"]) == ("c/T1", "in doubt", "c")
     fleet.crash("c")
     fleet.run_for(3.0)
-    assert "Forgotten by force, it is nowhere if c has given it away" in b.ask(Forget("T1")).reason
+    assert b.ask(Forget("T1", dry_run=True)).ok
     assert kept(fleet) == ["T1"]
-    assert b.ask(Forget("T1", force=True)).ok
+    assert b.ask(Forget("T1")).ok
     assert kept(fleet) == [] and b.ask(Checkpoints("")).result == []
 
 
-def test_a_snapshot_of_another_task_than_a_place_was_promised_for_is_declined(fleet):
-    answers = answers_to(fleet, "c")
-    asked = place_for(fleet, "T1")
-    say(fleet, "c", asked, "b")
+def test_a_state_of_another_task_than_room_was_kept_for_is_declined(fleet):
+    answers, task_id = heard_by(fleet, "c", Bid, Refuse), TaskId("c", "T1")
+    request = room(fleet, task_id)
+    ask_for_room(fleet, "c", request, "b")
     fleet.run_for(1.0)
-    other = Snapshot(TaskId("c", "T2"), "test.Count", asked.request.version, "client").encode()
-    for piece in cut(Transfer(asked.task_id, asked.offer, other)):
-        say(fleet, "c", piece, "b")
+    other = offer(fleet, "c", TaskId("c", "T2"), "b", version=request.version).state
+    wrong = offer(fleet, "c", task_id, "b")
+    say(fleet, "c", Accept(task_id, "test.Count", "client", wrong.register, to=wrong.to, state=other), "b")
     fleet.run_for(1.0)
-    assert [type(answer) for answer in answers] == [Reserved, Nak]
+    assert [type(answer) for answer in answers] == [Bid, Refuse]
     assert answers[-1].refusal.text == "the snapshot is of c/T2, not of c/T1"
     assert fleet.agents["b"].agent.records.all() == {}
 
 
-@pytest.mark.parametrize("at", ["client", "network/TaskMigrator"])
-def test_what_was_meant_for_an_agent_with_another_disk_is_not_answered(fleet, at):
-    answers, asked = answers_to(fleet, "c"), place_for(fleet, "T1")
-    message = asked if at == "client" else asked.request
-    fleet.agents["c"].publish("network", addressed(message, "another"), to=f"b/{at}")
+@pytest.mark.parametrize("hold", [False, True])
+def test_what_was_meant_for_an_agent_with_another_disk_is_not_answered(fleet, hold):
+    answers, request = heard_by(fleet, "c", Bid, Refuse), replace(room(fleet, TaskId("c", "T1")), hold=hold)
+    fleet.agents["c"].publish("network", addressed(request, "another"), to=f"b/{MIGRATOR}")
     fleet.run_for(1.0)
     assert answers == []
-    say(fleet, "c", message, "b", at)
+    ask_for_room(fleet, "c", request, "b")
     fleet.run_for(1.0)
     assert len(answers) == 1
 
@@ -247,7 +211,7 @@ def test_a_bid_for_a_former_question_does_not_count(fleet):
 
     def bid_for_the_former(packet):
         former = Bid(packet.body.task_id, packet.body.ask - 1, -100.0, {"tasks: active tasks": -100.0})
-        say(fleet, "c", former, "a", "network/TaskMigrator")
+        say(fleet, "c", former, "a", MIGRATOR)
 
     c.kernel.stream.tap("network", bid_for_the_former, ("migration.solicit",))
     reply = a.ask(Migrate("Count", dry_run=True))

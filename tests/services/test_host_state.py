@@ -6,8 +6,8 @@ import pytest
 from services.counting import Count
 
 from pancakes.control import Migrate, Stop
-from pancakes.durable.messages import Reserve, Solicit
-from pancakes.durable.record import Epoch, TaskId
+from pancakes.durable.messages import Solicit
+from pancakes.durable.record import TaskId
 from pancakes.testing import Fleet
 
 COUNT = {"Count": {"type": "test.Count"}}
@@ -50,14 +50,14 @@ def test_a_name_is_taken_by_a_task_for_which_a_slot_is_kept(fleet):
     b = fleet.start("b")
     fleet.connect()
     request = request_of("a")
-    assert b.agent.host_state.reserve("a", Reserve(request.task_id, Epoch(1, "a"), request)) is None
+    assert b.agent.host_state.reserve("a", request) is None
     assert refusal(b, "c") == "has a task named Count already (a/Count)" and refusal(b, "a") == ""
     b.agent.host_state.free(request.task_id)
     assert refusal(b, "c") == ""
 
 
 def test_a_hand_off_keeps_its_own_service_from_being_stopped_and_no_other(fleet):
-    a = fleet.start("a", tasks=COUNT, services={"second": {"type": "client", "tasks": []}})
+    a = fleet.start("a", tasks=COUNT, services={"second": {"type": "client"}})
     fleet.start("b")
     fleet.connect()
     asked = a.publish("sysctrl", Migrate("Count"))

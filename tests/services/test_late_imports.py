@@ -96,9 +96,7 @@ def test_an_agent_answers_whether_it_would_guard_a_task_once_it_knows_its_class(
         a.wait_for(CanGuard, lambda told: told.task_id == TaskId("a", "Slow") and told.runs_type)
 
 
-@pytest.mark.parametrize(
-    "body", [Create("New", LATE), Revive("z/New", LATE, force=True)], ids=lambda it: type(it).__name__
-)
+@pytest.mark.parametrize("body", [Create("New", LATE), Revive("z/New", LATE)], ids=lambda it: type(it).__name__)
 @pytest.mark.usefixtures("late_plugin")
 def test_a_service_that_is_to_begin_a_task_answers_others_while_its_class_is_imported(body: Create | Revive) -> None:
     with pair() as (_, b):
@@ -140,7 +138,7 @@ def test_no_class_is_imported_for_a_peer_that_may_not_bring_such_tasks() -> None
         fleet.start("a", '[[access.allow]]\nwho = ["b"]\nmay = ["look", "change", "adopt", "guard"]\n')
         b = fleet.start("b")
         fleet.connect()
-        for body in (Create("New", LATE), Revive("z/New", LATE, force=True)):
+        for body in (Create("New", LATE), Revive("z/New", LATE)):
             assert f"New cannot run on a: a does not let b (agent) do this: it lacks the right 'host' on '{LATE}'" in (
                 b.ask(body, to="a").reason
             )

@@ -62,7 +62,7 @@ def test_each_move_is_kept_over_a_crash_with_all_that_was_said():
             "retry_after_s": None,
         }
     ]
-    assert stayed["reason"] == "no neighbour can take Other: nobody is no neighbour that hosts tasks, only b"
+    assert stayed["reason"] == "no neighbour can take Other: nobody is not linked to a, only b"
 
 
 def test_another_agent_gets_the_same_answer():

@@ -95,11 +95,11 @@ def test_receipts_of_an_agent_without_the_task_acknowledge_nothing(fleet):
 def test_agents_that_are_asked_where_a_task_is_get_no_letter(fleet):
     """Whoever saw one could write in its stream; and what is in it is for the task only."""
     seen: list[Packet] = []
-    fleet.agents["c"].kernel.stream.tap("network", seen.append, ("post.letter", "task.where"))
+    fleet.agents["c"].kernel.stream.tap("network", seen.append, ("post.letter", "task.who_has"))
     fleet.crash("a")
     fleet.agents["b"].publish("system", Numbered(1), to=SINK)
     fleet.run_for(20.0)
-    assert {packet.type for packet in seen} == {"task.where"}
+    assert {packet.type for packet in seen} == {"task.who_has"}
     fleet.restart("a")
     fleet.run_for(10.0)
     assert numbers(fleet) == [1]

@@ -13,7 +13,7 @@ from pancakes.durable.courier import COURIER
 from pancakes.durable.delivery import StreamsBegan
 from pancakes.testing import Fleet
 
-GUARDED = {"type": "test.Sink", "guard": 3, "lease_s": 2.0, "checkpoint_s": 30.0, "guardians": ["b", "c"]}
+GUARDED = {"type": "test.Sink", "guard": {"copies": 3, "lease_s": 2.0, "checkpoint_s": 30.0, "guardians": ["b", "c"]}}
 
 
 @pytest.fixture
@@ -139,7 +139,7 @@ def test_a_task_that_is_revived_without_its_state_has_lost_all():
         send(fleet, *upto(5))
         fleet.crash("a")
         fleet.run_for(3.0)
-        assert fleet.agents["b"].ask(Revive("a/Sink", "test.Sink", force=True)).ok
+        assert fleet.agents["b"].ask(Revive("a/Sink", "test.Sink")).ok
         fleet.run_for(3.0)
         assert told(fleet) == [("a/Sink", "d", 1, 5)]
 

@@ -59,7 +59,9 @@ def test_damaged_record_makes_no_second_copy(fleet, name):
             a = fleet.restart("a")
             fleet.run_for(1.0)
             assert copies(fleet) == ["b"], f"byte {at}"
-            assert any("a/Count" in line and "pancakes task forget a/Count" in line for line in a.lines("error"))
+            assert any(
+                "a/Count" in line and "pancakes task recover a/Count --not-here" in line for line in a.lines("error")
+            )
             assert "until you decide" in a.ask(Start("Count")).reason
             assert "until you decide" in a.ask(Start("Count", dry_run=True)).reason
             assert "until you decide" in a.ask(Describe("Count")).result["reason"]
@@ -101,12 +103,9 @@ def test_adopted_task_without_record_begins_at_a_high_epoch(fleet):
     flip(fleet, "a", RECORD, 50)
     a = fleet.restart("a")
 
-    refused = a.ask(Adopt("Count"))
-    assert "Adopted by force, it runs on a (as its configuration says, its state is lost)" in refused.reason
-    assert "there are two of it" in refused.reason and refused.reason.endswith("Nothing was done")
-    assert a.ask(Adopt("Count", force=True, dry_run=True)).ok and copies(fleet) == []
+    assert a.ask(Adopt("Count", dry_run=True)).ok and copies(fleet) == []
 
-    assert a.ask(Adopt("Count", force=True)).ok
+    assert a.ask(Adopt("Count")).ok
     assert copies(fleet) == ["a"] and a.task("Count").state.n <= 1
     (adopted,) = a.events("task_adopted")
     assert adopted["epoch"] >= 1_000_000
@@ -127,8 +126,7 @@ def test_adopted_task_without_identity_goes_on(fleet):
     a = fleet.restart("a")
     assert copies(fleet) == []
 
-    assert "the task was here. Adopted by force" in a.ask(Adopt("Count")).reason
-    assert a.ask(Adopt("Count", force=True)).ok
+    assert a.ask(Adopt("Count")).ok
 
     assert copies(fleet) == ["a"] and a.task("Count").state.n >= 20
     assert a.ask(Stop("Count")).ok
@@ -139,9 +137,9 @@ def test_guest_with_a_damaged_record_rests_and_is_named(fleet):
     fleet.stop("b")
     flip(fleet, "b", RECORD, 50)
     b = fleet.restart("b")
-    assert any("a/Count is not started" in line and "task adopt b/Count" in line for line in b.lines("error"))
+    assert any("a/Count is not started" in line and "task recover b/Count --here" in line for line in b.lines("error"))
 
-    refused = b.ask(Adopt("Count", force=True))
+    refused = b.ask(Adopt("Count"))
     assert refused.reason.startswith("a/Count cannot be adopted: nothing is left here to run it from")
     assert b.ask(Forget("Count")).ok
 
@@ -158,7 +156,7 @@ def test_guest_with_a_readable_record_can_be_adopted(fleet):
     b = fleet.restart("b")
     assert copies(fleet) == []
 
-    assert b.ask(Adopt("Count", force=True)).ok
+    assert b.ask(Adopt("Count")).ok
 
     assert copies(fleet) == ["b"] and b.task("Count").state.n >= 15
 
@@ -171,8 +169,7 @@ def test_forgotten_task_may_still_be_adopted(fleet):
     fleet.crash("a")
     a = fleet.restart("a")
 
-    assert "a was told to forget it" in a.ask(Adopt("Count")).reason
-    assert a.ask(Adopt("Count", force=True)).ok
+    assert a.ask(Adopt("Count")).ok
 
     assert copies(fleet) == ["a"]
 

@@ -7,7 +7,8 @@ from seeded import for_each
 
 from pancakes.control import Configure, Describe, Migrate, Migrations, Reschedule, Restart, Start, Stop
 from pancakes.devices import Battery, Load, Pose, Twist
-from pancakes.durable.record import Phase, TaskId
+from pancakes.durable.record import TaskId
+from pancakes.durable.register import Standing
 from pancakes.mesh.memory_network import Quality
 from pancakes.packet import SYSCTRL
 from pancakes.task import Task, every, on
@@ -72,7 +73,7 @@ def fleet():
 def phase(fleet, agent, name="Circle", birthplace="a"):
     """What an agent's record of a task says."""
     place = fleet.agents[agent].component("client").places.get(TaskId(birthplace, name))
-    return place.standing.record.phase if place is not None else Phase.ABSENT
+    return place.record.standing if place is not None else Standing.NONE
 
 
 def hosts(fleet, name="Circle"):
@@ -103,7 +104,7 @@ def test_migration_carries_settings_state_and_rate(fleet):
     assert (arrived["source_agent"], arrived["epoch"]) == ("a", 1)
     assert tuple(arrived["state"]["centre_m"]) == (1.0, 2.0)
     assert hosts(fleet) == ["b"]
-    assert (phase(fleet, "a"), phase(fleet, "b")) == (Phase.RELEASED, Phase.OWNER)
+    assert (phase(fleet, "a"), phase(fleet, "b")) == (Standing.RELEASED, Standing.OWNER)
 
 
 def test_migration_pauses_for_less_than_half_a_second(fleet):
@@ -221,7 +222,8 @@ def test_migration_is_refused_where_the_name_is_taken(fleet):
 def test_migration_without_neighbours():
     with Fleet(2) as fleet:
         a = fleet.start("a", tasks={"Home": Task})
-        alone = "no neighbour can take Home: there is no neighbour that hosts tasks"
+        unlinked = "no agent that runs tasks is linked to a (are their addresses in `peers` of [agent]?)"
+        alone = f"no neighbour can take Home: {unlinked}"
         assert a.ask(Migrate("Home", dry_run=True)).reason == alone and a.lines("warning") == []
         assert a.ask(Migrate("Home")).reason == alone
         fleet.run_for(0.1)
@@ -239,7 +241,7 @@ def test_migration_dry_run_tells_the_bids(fleet):
 def test_migration_asks_only_the_named_agent():
     with fleet_of(robots=("a", "b", "c")) as fleet:
         a = fleet.agents["a"]
-        assert "nobody is no neighbour that hosts tasks" in a.ask(Migrate("Circle", to="nobody")).reason
+        assert "nobody is not linked to a" in a.ask(Migrate("Circle", to="nobody")).reason
         ledger = a.ask(Migrate("Circle", to="c")).result
         fleet.run_for(0.1)
         stayed = [line for line in a.lines("info") if "stays on" in line]
@@ -381,15 +383,26 @@ def until(fleet, condition, timeout_s=20.0, what=""):
         assert fleet.now() < begin_s + timeout_s, what or "it did not come"
 
 
-@pytest.mark.parametrize("commanded", [Stop("Circle"), Restart("Circle"), Reschedule("Circle", 1.0)])
+@pytest.mark.parametrize("commanded", [Restart("Circle"), Reschedule("Circle", 1.0)])
 def test_migration_refuses_commands_on_the_way(fleet, commanded):
     a = fleet.agents["a"]
     fleet.network.set_quality("a", "b", Quality(latency_s=0.1))
     a.publish(SYSCTRL, Migrate("Circle"))
-    until(fleet, lambda: phase(fleet, "a") is Phase.FROZEN)
+    until(fleet, lambda: phase(fleet, "a") is Standing.OFFERED)
     assert a.ask(commanded, timeout_s=0.09).reason == "a/client/Circle is being handed over between a and b"
     fleet.run_for(2.0)
     assert hosts(fleet) == ["b"]
+
+
+def test_migration_is_called_off_by_a_stop_while_it_is_offered(fleet):
+    a = fleet.agents["a"]
+    fleet.network.set_quality("a", "b", Quality(latency_s=0.1))
+    moving = a.publish(SYSCTRL, Migrate("Circle"))
+    until(fleet, lambda: phase(fleet, "a") is Standing.OFFERED)
+    assert a.ask(Stop("Circle")).ok
+    fleet.run_for(2.0)
+    assert "the task was stopped" in a.reply_to(moving).reason
+    assert hosts(fleet) == [] and phase(fleet, "a") is Standing.OWNER
 
 
 def test_migration_is_called_off_by_an_early_stop(fleet):
@@ -402,7 +415,7 @@ def test_migration_is_called_off_by_an_early_stop(fleet):
     assert not a.reply_to(moving).ok
     fleet.run_for(5.0)
     assert hosts(fleet) == []
-    assert phase(fleet, "a") is Phase.OWNER
+    assert phase(fleet, "a") is Standing.OWNER
     assert a.ask(Start("Circle")).ok
     assert a.ask(Migrate("Circle")).ok
 
@@ -411,7 +424,7 @@ def test_migration_outlives_a_failure_on_the_way(fleet):
     a, b = fleet.agents["a"], fleet.agents["b"]
     fleet.network.set_quality("a", "b", Quality(latency_s=0.1))
     a.publish(SYSCTRL, Migrate("Circle", then="Home"))
-    until(fleet, lambda: phase(fleet, "a") is Phase.FROZEN)
+    until(fleet, lambda: phase(fleet, "a") is Standing.OFFERED)
 
     def fail():
         raise RuntimeError("while it stood still")
@@ -424,7 +437,7 @@ def test_migration_outlives_a_failure_on_the_way(fleet):
 
 
 def test_migration_outlives_a_cut_network():
-    for cut_at in (Phase.FROZEN, Phase.COMMITTED):
+    for cut_at in (Standing.OFFERED, Standing.YIELDED):
         with fleet_of(seed=9) as fleet:
             a = fleet.agents["a"]
             fleet.network.set_quality("a", "b", Quality(latency_s=0.02))
@@ -433,22 +446,22 @@ def test_migration_outlives_a_cut_network():
             fleet.network.partition(["a"], ["b"])
             fleet.run_for(30.0)
             assert len(hosts(fleet)) <= 1
-            if cut_at is Phase.FROZEN:
+            if cut_at is Standing.OFFERED:
                 assert hosts(fleet) == ["a"]  # it took it back: nobody can have been told to run it
             fleet.network.heal()
             fleet.run_for(30.0)
             assert len(hosts(fleet)) == 1
-            if cut_at is Phase.COMMITTED:
+            if cut_at is Standing.YIELDED:
                 assert hosts(fleet) == ["b"]
-                assert (phase(fleet, "a"), phase(fleet, "b")) == (Phase.RELEASED, Phase.OWNER)
+                assert (phase(fleet, "a"), phase(fleet, "b")) == (Standing.RELEASED, Standing.OWNER)
 
 
 MOMENTS = [
-    ("a", lambda fleet: phase(fleet, "a") is Phase.FROZEN),
-    ("a", lambda fleet: phase(fleet, "a") is Phase.COMMITTED),
-    ("a", lambda fleet: phase(fleet, "a") is Phase.RELEASED),
-    ("b", lambda fleet: phase(fleet, "b") is Phase.PREPARED),
-    ("b", lambda fleet: phase(fleet, "b") is Phase.OWNER),
+    ("a", lambda fleet: phase(fleet, "a") is Standing.OFFERED),
+    ("a", lambda fleet: phase(fleet, "a") is Standing.YIELDED),
+    ("a", lambda fleet: phase(fleet, "a") is Standing.RELEASED),
+    ("b", lambda fleet: phase(fleet, "b") is Standing.HEIR),
+    ("b", lambda fleet: phase(fleet, "b") is Standing.OWNER),
 ]
 
 

@@ -14,7 +14,8 @@ import pytest
 from services.numbered import SINK, Numbered, Sink
 
 from pancakes.control import Create, Forget, Migrate, Revive, Stop
-from pancakes.durable.record import Phase, TaskId
+from pancakes.durable.record import TaskId
+from pancakes.durable.register import Standing
 from pancakes.events import Event, LogLine
 from pancakes.packet import LOG, NETWORK, Packet
 from pancakes.task import Task, Tick, every
@@ -118,7 +119,7 @@ def test_migration_story(fleet: Fleet, tmp_path: Path) -> None:
     told.tell("Sink is asked to move to c, which dies when it has the snapshot; a writes to Sink")
     agents["b"].publish("sysctrl", Migrate("Sink", to="c"))
     record = agents["c"].agent.records.get
-    while (kept := record(sink)) is None or kept.phase is not Phase.PREPARED:
+    while (kept := record(sink)) is None or kept.standing is not Standing.HEIR:
         assert fleet.dispatcher.step()
     fleet.crash("c")
     agents["a"].publish("system", Numbered(3), to=SINK)
@@ -143,7 +144,7 @@ def test_migration_story(fleet: Fleet, tmp_path: Path) -> None:
     told.tell("c is gone for good, and a person has a revive Sink")
     fleet.crash("c")
     fleet.run_for(3.0)
-    assert agents["a"].ask(Revive("a/Sink", "test.Sink", force=True)).ok
+    assert agents["a"].ask(Revive("a/Sink", "test.Sink")).ok
     fleet.run_for(3.0)
     now = tmp_path / KNOWN.name
     now.write_text("\n".join(told.lines) + "\n")

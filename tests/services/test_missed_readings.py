@@ -144,7 +144,7 @@ def test_a_chip_that_is_gone_fails_its_device_after_some_reads_in_a_row(fleet):
 
 def test_a_share_of_misses_that_is_too_large_fails_the_device(fleet):
     agent = sensor(
-        fleet, lambda number: OSError("noise") if number % 3 else None, missed={"share": 0.6, "within_s": 5.0}
+        fleet, lambda number: OSError("noise") if number % 3 else None, missed={"share": 0.6, "within_mission_s": 5.0}
     )
     fleet.run_for(4.9)
     assert not agent.events("task_failed")
@@ -212,7 +212,7 @@ def test_a_sensor_that_falls_silent_is_told_as_silent_until_it_speaks_again(flee
         def silent(self):
             type(self).dialled += 1
 
-    agent = fleet.start("a", devices={"chip": {"type": Speaking, "silent_s": 5.0}})
+    agent = fleet.start("a", devices={"chip": {"type": Speaking, "silent_mission_s": 5.0}})
     fleet.run_for(4.0)
     assert agent.ask(Describe("chip")).result["rest"] == ""
     fleet.run_for(17.0)
@@ -263,7 +263,7 @@ def test_a_command_whose_number_is_none_is_refused_and_its_sender_named(fleet, d
 
 
 def test_a_command_that_is_none_brings_the_safe_hold_at_once(fleet):
-    agent = commanding(fleet, Taker, Twist(0.1, 0.0), *[Twist(0.1, math.nan)] * 3, hold_after_s=5.0)
+    agent = commanding(fleet, Taker, Twist(0.1, 0.0), *[Twist(0.1, math.nan)] * 3, hold_after_mission_s=5.0)
     fleet.run_for(2.0)
     assert Taker.done[:6] == [Twist(0.1, 0.0), "hold"] * 3
     assert agent.events("safe_hold", device="wheels", reason="a command was no command")

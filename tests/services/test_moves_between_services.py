@@ -7,7 +7,8 @@ import pytest
 from pancakes.control import Migrate, Restart, Start, Stop
 from pancakes.devices import Load, Pose
 from pancakes.durable.client_service import ClientService, ClientServiceCore
-from pancakes.durable.record import Phase, TaskId
+from pancakes.durable.record import TaskId
+from pancakes.durable.register import Standing
 from pancakes.kernel.handlers import on
 from pancakes.service import Service
 from pancakes.supervision.restart import RestartSpec
@@ -53,10 +54,10 @@ def two(services_of_b: dict[str, object], seed: int = 1) -> Fleet:
     return fleet
 
 
-def phase(agent: AgentHandle, service: str = "guides") -> Phase:
+def phase(agent: AgentHandle, service: str = "guides") -> Standing:
     owner = agent.component(service)
     place = owner.places.get(TaskId("a", "Guide")) if isinstance(owner, ClientServiceCore) else None
-    return place.standing.record.phase if place is not None else Phase.ABSENT
+    return place.record.standing if place is not None else Standing.NONE
 
 
 def test_it_goes_to_the_service_of_the_same_name_and_comes_back():
@@ -87,7 +88,7 @@ def test_an_agent_without_that_service_refuses_and_nothing_is_left_behind(servic
         assert [line["reason"] for line in reply.result["lines"]] == [reason]
         fleet.run_for(10.0)
         assert a.events("task_frozen") == []
-        assert phase(a) is Phase.OWNER
+        assert phase(a) is Standing.OWNER
         assert a.running("guides") == ["Guide"]
         assert a.task("Guide", "guides").state.n >= 100
         assert fleet.disk("b") == disk
@@ -114,7 +115,9 @@ def test_a_service_that_stops_after_its_agent_has_bid_is_a_refusal_and_the_task_
         b.wait_for_event("migration_bid")
         assert b.ask(Stop("guides")).ok
         reply = a.reply_to(asked)
-        assert reply.reason == "no neighbour can take Guide: b: did not answer the reservation in time"
+        assert (
+            reply.reason == "no neighbour can take Guide: b: runs no service 'guides' that takes tasks in, only client"
+        )
         assert a.events("task_frozen") == []
         assert a.running("guides") == ["Guide"]
 
@@ -145,12 +148,12 @@ def test_a_tasks_own_service_has_the_say_where_it_fails_between_the_two_halves_o
         a, b = fleet.agents["a"], fleet.agents["b"]
         fleet.faults.delay("a", "b", 0.1)
         asked = a.publish("sysctrl", Migrate("Guide"))
-        a.wait_until(lambda: phase(a) is Phase.COMMITTED)
+        a.wait_until(lambda: phase(a) is Standing.YIELDED)
         b.publish("system", Pose(0.0, 0.0, 0.0))
         b.wait_for_event("service_failed", service="guides")
         fleet.run_for(5.0)
         assert not any("has lost its disk" in line for line in a.lines())
-        assert phase(a) is Phase.COMMITTED
+        assert phase(a) is Standing.RELEASED  # the register is the agent's, not the service's
         assert b.ask(Start("guides")).ok
         assert a.reply_to(asked, 60.0).ok
         assert (a.running("guides"), b.running("guides")) == ([], ["Guide"])

@@ -96,7 +96,7 @@ def test_half_a_snapshot_of_a_gone_agent_is_not_kept(fleet):
     fleet.connect()
     fleet.faults.slow("a", "b", STATE_BYTES / 10)
     a.publish("sysctrl", Migrate("Heavy"))
-    client = "client"
+    client = "kernel/Registrar"
     before = kept_by(fleet, b, client)
     fleet.run_for(5.0)
     assert kept_by(fleet, b, client) > before + STATE_BYTES // 3

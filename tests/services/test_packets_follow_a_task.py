@@ -241,7 +241,7 @@ class TestASenderThatMoves:
         s, _ = self.pair(fleet)
         fleet.run_for(1.0)
         fleet.faults.fill_disk("t")
-        assert "did not say within 2.0 s that it has the snapshot" in s.ask(Migrate("Source", to="t")).reason
+        assert "did not ask for the task within 2.0 s" in s.ask(Migrate("Source", to="t")).reason
         fleet.faults.calm()
         fleet.run_for(1.0)
         assert numbers(fleet) == upto(s.task("Source").state.n)

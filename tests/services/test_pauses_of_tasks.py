@@ -57,7 +57,7 @@ def test_task_that_paused_itself_goes_on_with_what_waits(fleet):
 
 @pytest.mark.parametrize("begun_s", [0.2, 0.55, 0.65], ids=["awake", "before its nap", "napping"])
 def test_freeze_outlives_the_end_of_a_pause(fleet, begun_s):
-    """The hand-off takes longer than a nap: a resume in it, or another call, would act beside the copy."""
+    """The migration takes longer than a nap: a resume in it, or another call, would act beside the copy."""
     a, b = fleet.agents["a"], fleet.agents["b"]
     fleet.network.set_quality("a", "b", Quality(latency_s=0.4))
     fleet.run_for(begun_s)

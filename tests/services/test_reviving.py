@@ -6,12 +6,12 @@ import pytest
 from services.numbered import Numbered, Sink
 
 from pancakes.control import Checkpoints, Describe, HeldCheckpoint, Migrate, Revive, Start
-from pancakes.durable.record import Phase, TaskId
+from pancakes.durable.record import TaskId
+from pancakes.durable.register import Standing
 from pancakes.packet import SYSCTRL, task_address
 from pancakes.testing import Fleet
 
 SINK = Revive("a/Sink", "test.Sink")
-FORCED = Revive("a/Sink", "test.Sink", force=True)
 
 
 @pytest.fixture
@@ -33,11 +33,9 @@ def lost(fleet):
 def test_it_runs_again_and_packets_reach_it_under_an_epoch_above_all(fleet):
     b = lost(fleet)
     b.publish("system", Numbered(1), to=task_address("a/Sink"))
-    told = b.ask(SINK)
-    assert not told.ok and "its state is lost" in told.reason and told.reason.endswith("Nothing was done")
-    dry = b.ask(Revive("a/Sink", "test.Sink", force=True, dry_run=True))
+    dry = b.ask(Revive("a/Sink", "test.Sink", dry_run=True))
     assert dry.ok and b.running("client") == []
-    revived = b.ask(FORCED)
+    revived = b.ask(SINK)
     assert revived.ok, revived.reason
     fleet.run_for(5.0)
     assert b.task("Sink").state.numbers == [1]
@@ -46,7 +44,7 @@ def test_it_runs_again_and_packets_reach_it_under_an_epoch_above_all(fleet):
 
 def test_the_lost_agent_stands_still_when_it_is_back(fleet):
     b = lost(fleet)
-    assert b.ask(FORCED).ok
+    assert b.ask(SINK).ok
     a = fleet.restart("a")
     fleet.connect()
     fleet.run_for(1.0)
@@ -59,9 +57,9 @@ def test_where_its_owner_is_there_it_is_not_revived(fleet):
     b = fleet.start("b")
     fleet.connect()
     fleet.run_for(1.0)
-    refused = b.ask(FORCED)
+    refused = b.ask(SINK)
     assert not refused.ok and "a is connected, and owns it (epoch 0@a)" in refused.reason
-    assert "is known on a" in fleet.agents["a"].ask(FORCED).reason
+    assert "is known on a" in fleet.agents["a"].ask(SINK).reason
 
 
 def test_an_agent_that_gave_it_away_can_revive_it(fleet):
@@ -72,7 +70,7 @@ def test_an_agent_that_gave_it_away_can_revive_it(fleet):
     fleet.run_for(2.0)
     fleet.crash("b")
     fleet.run_for(3.0)
-    assert a.ask(FORCED).ok
+    assert a.ask(SINK).ok
     fleet.run_for(1.0)
     assert a.running("client") == ["Sink"]
 
@@ -90,21 +88,21 @@ def test_what_was_only_asked_for_keeps_no_actuators(fleet):
         tasks={"Other": {"type": Drives, "start": False}},
         classes={"test.Drives": Drives},
     )
-    asked = Revive("a/Sink", "test.Drives", force=True, dry_run=True)
-    assert b.ask(asked).ok and not b.ask(Revive("a/Sink", "test.Drives")).ok
+    asked = Revive("a/Sink", "test.Drives", dry_run=True)
+    assert b.ask(asked).ok
     started = b.ask(Start("Other"))
     assert started.ok, started.reason
-    assert "is held by" in b.ask(Revive("a/Sink", "test.Drives", force=True)).reason
+    assert "is held by" in b.ask(Revive("a/Sink", "test.Drives")).reason
 
 
 @pytest.mark.parametrize(
     ("body", "why"),
     [
-        (Revive("a/Sink", "test.Nothing", force=True), "test.Nothing"),
-        (Revive("Sink", "test.Sink", force=True), "is no task id"),
-        (Revive("a/Sink", "test.Sink", settings={"x": 1}, force=True), "cannot run on b"),
-        (Revive("a/Sink", "test.Sink", service="device", force=True), "cannot be asked for revive"),
-        (Revive("a/Sink", "test.Sink", service="nothing", force=True), "is not there"),
+        (Revive("a/Sink", "test.Nothing"), "test.Nothing"),
+        (Revive("Sink", "test.Sink"), "is no task id"),
+        (Revive("a/Sink", "test.Sink", settings={"x": 1}), "cannot run on b"),
+        (Revive("a/Sink", "test.Sink", service="device"), "cannot be asked for revive"),
+        (Revive("a/Sink", "test.Sink", service="nothing"), "is not there"),
     ],
 )
 def test_what_cannot_be_is_said_and_nothing_is_left_of_it(fleet, body, why):
@@ -112,7 +110,7 @@ def test_what_cannot_be_is_said_and_nothing_is_left_of_it(fleet, body, why):
     refused = b.ask(body)
     assert not refused.ok and why in refused.reason
     assert b.running("client") == []
-    assert b.ask(FORCED).ok
+    assert b.ask(SINK).ok
 
 
 def test_it_goes_on_from_the_snapshot_of_a_hand_off_that_is_in_doubt(fleet):
@@ -124,17 +122,17 @@ def test_it_goes_on_from_the_snapshot_of_a_hand_off_that_is_in_doubt(fleet):
     fleet.run_for(2.0)
     fleet.agents["a"].publish(SYSCTRL, Migrate("Sink", to="b"))
     record = fleet.agents["b"].agent.records.get
-    while record(TaskId("a", "Sink")) is None or record(TaskId("a", "Sink")).phase is not Phase.PREPARED:
+    while record(TaskId("a", "Sink")) is None or record(TaskId("a", "Sink")).standing is not Standing.HEIR:
         assert fleet.dispatcher.step()
     fleet.crash("a")
     fleet.run_for(3.0)
     (row,) = fleet.agents["b"].ask(Checkpoints("Sink", body=True)).result
     assert fleet.agents["b"].ask(Checkpoints("Other")).result == []
-    assert (row["held"], row["epoch"], row["no"]) == ("in doubt", [1, "a"], 0)
+    assert (row["held"], row["epoch"], row["no"]) == ("in doubt", [0, "a"], 2)
     assert (row["age_s"], row["type"]) == (None, "test.Sink")
     held = HeldCheckpoint(row["snapshot"], (1, "a"), 0, "the snapshot that b holds")
-    revived = d.ask(Revive("a/Sink", checkpoint=held, seen=row["seen"], force=True))
+    revived = d.ask(Revive("a/Sink", checkpoint=held, seen=row["seen"]))
     assert revived.ok, revived.reason
     assert d.task("Sink").state.numbers == [7]
-    assert d.ask(Describe(target="Sink")).result["fence"]["epoch"] == 1_000_001
-    assert "see `pancakes task adopt`" in fleet.agents["b"].ask(Revive("a/Sink", checkpoint=held, force=True)).reason
+    assert d.ask(Describe(target="Sink")).result["fence"]["epoch"] == 1_000_000
+    assert "see `pancakes task recover b/Sink`" in fleet.agents["b"].ask(Revive("a/Sink", checkpoint=held)).reason

@@ -10,12 +10,18 @@ from services.counting import Count
 from services.numbered import Sink
 
 from pancakes.control import Checkpoints, Describe, HeldCheckpoint, Revive
-from pancakes.durable.record import Phase, Record, TaskId
+from pancakes.durable.record import Record, TaskId
+from pancakes.durable.register import Standing
 from pancakes.journal.journal import MARK
 from pancakes.testing import Fleet
 
 COUNT = TaskId("a", "Count")
-GUARDED = {"Count": {"type": "test.Count", "guard": 3, "lease_s": 2.0, "checkpoint_s": 0.5, "guardians": ["b", "c"]}}
+GUARDED = {
+    "Count": {
+        "type": "test.Count",
+        "guard": {"copies": 3, "lease_s": 2.0, "checkpoint_s": 0.5, "guardians": ["b", "c"]},
+    }
+}
 
 
 @pytest.fixture
@@ -37,7 +43,7 @@ def record(fleet: Fleet, name: str) -> Record:
 
 
 def guards(fleet: Fleet, name: str) -> list[list[str]]:
-    return [sorted(one.agent for one in members) for members in record(fleet, name).guards.sets]
+    return [sorted(one.agent for one in members) for members in record(fleet, name).register.sets]
 
 
 def where(fleet: Fleet) -> list[str]:
@@ -91,11 +97,8 @@ def test_a_guardian_that_began_anew_says_that_a_checkpoint_may_be_older(fleet: F
 def test_it_goes_on_from_a_checkpoint_that_a_guardian_holds(fleet: Fleet):
     row, n = most_are_lost(fleet)
     d = fleet.agents["d"]
-    told = d.ask(from_held(row)).reason
-    assert told.startswith("a/Count would go on on d from what c holds: what it has done since is lost")
-    assert told.endswith("Nothing was done")
-    assert d.ask(from_held(row, force=True, dry_run=True)).ok and where(fleet) == []
-    revived = d.ask(from_held(row, force=True))
+    assert d.ask(from_held(row, dry_run=True)).ok and where(fleet) == []
+    revived = d.ask(from_held(row))
     assert revived.ok, revived.reason
     assert fleet.run_until(lambda: where(fleet) == ["d"], 2.0)
     assert d.task("Count").state.n >= n - 10
@@ -105,15 +108,15 @@ def test_it_goes_on_from_a_checkpoint_that_a_guardian_holds(fleet: Fleet):
 
 def test_the_lost_agent_stands_still_when_it_is_back_though_half_of_its_guardians_would_follow_it(fleet: Fleet):
     row, _ = most_are_lost(fleet)
-    assert fleet.agents["d"].ask(from_held(row, force=True)).ok
+    assert fleet.agents["d"].ask(from_held(row)).ok
     fleet.run_for(1.0)
     a = fleet.restart("a")
     fleet.restart("b")
     fleet.run_for(1.0)
     fleet.connect()
     fleet.run_for(8.0)
-    assert record(fleet, "a").wanted.value == "disputed" and record(fleet, "d").phase is Phase.OWNER
-    assert any("it stands still here, and goes on on d" in line for line in a.lines("error"))
+    assert record(fleet, "a").wanted.value == "disputed" and record(fleet, "d").standing is Standing.OWNER
+    assert any("it is paused here, and runs on d" in line for line in a.lines("error"))
     stood = a.ask(Describe("client/Count")).result
     assert (stood["state"], stood["rest"]) == ("stopped", "disputed")
     n = fleet.agents["d"].task("Count").state.n
@@ -128,10 +131,8 @@ def test_it_goes_on_as_it_stands_where_its_guardians_are_gone_for_good(fleet: Fl
     fleet.crash("c")
     assert fleet.run_until(lambda: bool(a.events("permit_lost")), 5.0)
     stood = a.task("Count").state.n
-    told = a.ask(Revive("a/Count")).reason
-    assert "its guardians are a and b and c, and more than half do not answer" in told and "nothing is lost" in told
-    assert a.ask(Revive("a/Count", force=True, dry_run=True)).ok and record(fleet, "a").epoch.n == 0
-    revived = a.ask(Revive("a/Count", force=True))
+    assert a.ask(Revive("a/Count", dry_run=True)).ok and record(fleet, "a").epoch.n == 0
+    revived = a.ask(Revive("a/Count"))
     assert revived.ok and revived.result["task_id"] == "a/Count"
     assert record(fleet, "a").epoch.n == 1_000_000 and guards(fleet, "a") == [["a"]]
     fleet.run_for(2.0)
@@ -142,14 +143,14 @@ def test_it_goes_on_as_it_stands_where_its_guardians_are_gone_for_good(fleet: Fl
     fleet.connect()
     fleet.run_for(10.0)
     assert where(fleet) == ["a"] and len(guards(fleet, "a")[0]) == 3
-    assert "is known on a" in a.ask(Revive("a/Count", force=True)).reason
+    assert "is known on a" in a.ask(Revive("a/Count")).reason
 
 
 def test_guardians_that_were_not_gone_after_all_have_their_owner_stand_still_once_they_are_linked(fleet: Fleet):
     a = fleet.agents["a"]
     fleet.faults.cut("a")
     fleet.run_for(10.0)
-    assert a.ask(Revive("a/Count", force=True)).ok
+    assert a.ask(Revive("a/Count")).ok
     fleet.run_for(3.0)
     taker = next(name for name in where(fleet) if name != "a")
     fleet.faults.calm()
@@ -165,7 +166,7 @@ def test_an_owner_from_an_old_disk_does_not_go_on_without_its_guardians(fleet: F
     fleet.crash("b")
     fleet.crash("c")
     assert fleet.run_until(lambda: bool(a.events("permit_lost")), 5.0)
-    refused = a.ask(from_held({**row, "no": 10_000}, force=True))
+    refused = a.ask(from_held({**row, "no": 10_000}))
     assert not refused.ok and "from an old copy of its disk, older than what c holds" in refused.reason
 
 
@@ -180,8 +181,8 @@ def test_where_all_disks_are_copies_a_person_has_the_task_go_on(fleet: Fleet):
     fleet.run_for(80.0)  # longer than after which a silent guardian is replaced
     a = fleet.agents["a"]
     assert where(fleet) == [] and not a.events("guards_chosen")
-    assert any("`pancakes task revive a/Count` does" in line for line in a.lines("warning"))
-    assert a.ask(Revive("a/Count", force=True)).ok
+    assert any("`pancakes task recover a/Count` does" in line for line in a.lines("warning"))
+    assert a.ask(Revive("a/Count")).ok
     fleet.run_for(5.0)
     assert where(fleet) == ["a"] and a.task("Count").state.n >= n - 10
     assert guards(fleet, "a") == [["a", "b", "c"]]

@@ -118,3 +118,36 @@ def test_a_rule_asks_again_when_it_says():
             a.publish("system", Battery(11.0, 0.2))
             fleet.run_for(0.5)
         assert 2 <= len([line for line in a.lines("warning") if "stays on a" in line]) <= 3
+
+
+def test_a_task_that_ends_itself_has_another_start_once_its_actuators_are_free():
+    with Fleet(3) as fleet:
+        tasks = {"Circle": {"type": Circle, "start": False}, "GoCharge": GoCharge}
+        a = fleet.start("a", tasks=tasks, devices=MOTORS)
+        a.task("GoCharge").publish("sysctrl", Stop("GoCharge", then="Circle"))
+        fleet.run_for(10.0)
+        assert a.running() == ["Circle"]
+        fleet.stop("a")
+        assert fleet.restart("a").running() == ["Circle"]
+
+
+def test_a_stop_is_refused_if_what_should_follow_cannot():
+    with Fleet(3) as fleet:
+        tasks = {"Circle": {"type": Circle, "start": False}, "Plain": Plain, "Other": Other}
+        a = fleet.start("a", tasks=tasks)
+        refusals = {it: a.ask(Stop("Plain", then=it)) for it in ("Circle", "Other", "Plain", "Nothing")}
+        codes = {it: reply.refusal.code for it, reply in refusals.items() if reply.refusal is not None}
+        assert codes == {"Circle": "unable", "Other": "conflict", "Plain": "invalid", "Nothing": "not_found"}
+        assert "only a task can be followed by one" in a.ask(Stop("client", then="Circle")).reason
+        assert a.running() == ["Plain", "Other"]
+
+
+def test_a_stop_that_is_only_tried_starts_nothing():
+    with Fleet(3) as fleet:
+        a = fleet.start("a", tasks={"Circle": {"type": Circle, "start": False}, "GoCharge": GoCharge}, devices=MOTORS)
+        assert a.ask(Stop("GoCharge", dry_run=True, then="Circle")).ok
+        fleet.run_for(10.0)
+        assert a.running() == ["GoCharge"]
+        assert a.ask(Stop("GoCharge")).ok
+        fleet.run_for(10.0)
+        assert a.running() == []

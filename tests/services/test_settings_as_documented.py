@@ -18,10 +18,15 @@ PAGE = Path(__file__).resolve().parents[2] / "docs" / "reference" / "configurati
 
 
 def documented(heading: str) -> Mapping[str, object]:
-    """Returns the defaults below a heading, by key."""
+    """Returns the defaults below a heading, by key; the tables of a setting's own keys come after the first one."""
     section = PAGE.read_text(encoding="utf-8").partition(f"\n{heading}\n")[2].partition("\n##")[0]
+    section = "| `" + section.partition("\n| `")[2].partition("\n\n")[0]
     rows = [line.split(" | ") for line in section.splitlines() if line.startswith("| `")]
-    return {row[0].strip("| `"): json.loads(row[2].strip("`")) for row in rows if len(row) > 2}
+    return {row[0].strip("| `"): _default(row[2].strip("`")) for row in rows if len(row) > 2}
+
+
+def _default(text: str) -> object:
+    return None if text == "none" else json.loads(text)
 
 
 @pytest.mark.parametrize(("name", "cls"), [("log", LogService), ("network", NetworkService), ("client", ClientService)])

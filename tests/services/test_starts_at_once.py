@@ -3,7 +3,8 @@
 import pytest
 
 from pancakes.control import Start, Stop
-from pancakes.durable.record import TaskId, Wanted
+from pancakes.durable.record import TaskId
+from pancakes.durable.register import Wanted
 from pancakes.packet import SYSCTRL
 from pancakes.task import Task
 from pancakes.testing import Fleet
@@ -29,7 +30,7 @@ def started(fleet, start):
 
 
 def wanted(agent, name):
-    return agent.component("client").places[TaskId("a", name)].standing.record.wanted
+    return agent.component("client").places[TaskId("a", name)].record.wanted
 
 
 def test_of_two_that_are_asked_for_the_second_is_refused_and_stays_at_rest(fleet):

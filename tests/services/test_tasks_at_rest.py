@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 
 from pancakes.control import Describe, Migrate, Start, Stop
-from pancakes.durable.record import Epoch, Record, TaskId, rest_of
+from pancakes.durable.record import Record, TaskId, rest_of
+from pancakes.durable.register import NOBODY, Epoch, Identity, Register
 from pancakes.task import Task, every
 from pancakes.testing import Fleet
 
@@ -97,5 +98,5 @@ def test_a_task_that_came_home_runs_and_says_nothing(fleet):
 
 
 def test_a_task_that_was_forgotten_says_so():
-    assert rest_of(Record(TaskId("a", "Count"), seen=Epoch(3, "a"))) == "forgotten"
+    assert rest_of(Record(TaskId("a", "Count"), Register(Epoch(3, NOBODY)), me=Identity("a"))) == "forgotten"
     assert rest_of(Record(TaskId("a", "Count"))) == "", "one that was never here may be born"

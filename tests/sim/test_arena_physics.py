@@ -4,7 +4,8 @@ import math
 
 import pytest
 
-from pancakes.sim.arena import Arena, Fan
+from pancakes.sim.arena import Arena
+from pancakes.sim.rays import Fan
 from pancakes.sim.robot_models import RangeSensor
 
 DT_S = 0.01

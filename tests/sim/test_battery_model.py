@@ -73,3 +73,17 @@ def test_a_small_battery_loses_a_third_on_the_circle_in_two_and_a_half_minutes()
         for _ in range(5):
             pack.sampled("sonar")
     assert 0.60 < pack.level < 0.70
+
+
+def test_a_dock_fills_it_and_no_more_than_that():
+    pack = battery(level=0.5)
+    pack.charged(300.0)
+    assert pack.level == pytest.approx(0.8)
+    pack.charged(300.0)
+    assert pack.level == 1.0
+
+
+def test_a_defective_one_takes_nothing_from_a_dock():
+    pack = battery(level=0.5, charges=False)
+    pack.charged(300.0)
+    assert pack.level == 0.5

@@ -33,7 +33,7 @@ class Driving(Task):
 def fleet():
     with Fleet(seed=3) as made:
         made.start("world", tasks={"World": {"type": "sim.world", "settings": WORLD}}, role="environment")
-        wheels = {"type": "sim.differential_drive", "settings": {"world": BUS}, "hold_after_s": 0.4}
+        wheels = {"type": "sim.differential_drive", "settings": {"world": BUS}, "hold_after_mission_s": 0.4}
         made.start("a", devices={"motors": wheels}, tasks={"Driving": Driving})
         made.run_for(2.0)
         yield made

@@ -3,18 +3,21 @@
 import math
 import random
 import time
+from dataclasses import replace
 
 import pytest
 
-from pancakes.devices import Battery, Infrared, Motion, Pose, Sonar, Twist
+from pancakes.devices import Battery, Encoders, Infrared, LaserScan, Motion, Pose, Sonar, Twist
 from pancakes.errors import PancakesError
 from pancakes.settings import SettingsError, check_settings, make_settings
-from pancakes.sim.battery import BatterySettings
+from pancakes.sim.battery import BatteryModel, BatterySettings
 from pancakes.sim.bodies import (
     ArenaSettings,
     ContentSettings,
+    Disc,
     MotionSettings,
     NoiseSettings,
+    Robot,
     RobotSettings,
     SensorSettings,
 )
@@ -22,7 +25,7 @@ from pancakes.sim.pedestrian import MoverSettings
 from pancakes.sim.robot_models import KHEPERA_III, Wheels
 from pancakes.sim.world import Physics
 
-QUIET = NoiseSettings(wheel=0.0, ir_share=0.0, ir_raw=0.0, sonar_m=0.0)
+QUIET = NoiseSettings(wheel=0.0, ir_share=0.0, ir_raw=0.0, sonar_m=0.0, laser_m=0.0)
 
 
 def robot(x_m, y_m, theta_rad=0.0, **others):
@@ -323,3 +326,57 @@ def test_a_mission_of_five_minutes_is_simulated_in_seconds():
     states = circle(paper_world(), 300.0)
     assert states[-1].time_s == pytest.approx(300.0)
     assert time.process_time() - began_s < 4.0  # about 0.7 s where nothing else runs
+
+
+def test_a_laser_scanner_sees_walls_and_the_sensor():
+    world = simulation(robots={"agent1": robot(1.0, 0.0, math.pi)}, sensors={"sensor": SensorSettings()})
+    scan = world.sample("agent1", "laser_scan")
+    assert isinstance(scan, LaserScan)
+    by_bearing = {
+        round(math.degrees(it)): range_m for it, range_m in zip(scan.bearings_rad(), scan.ranges_m(), strict=True)
+    }
+    assert by_bearing[0] == pytest.approx(1.0 - 0.06, abs=0.002)
+    assert by_bearing[90] == pytest.approx(2.0, abs=0.002)  # the wall at y = -2, seen from (1, 0)
+    assert max(scan.ranges_m()) <= scan.max_range_m == 4.0
+    assert len(scan.ranges_mm) == 228
+
+
+def test_encoders_count_what_the_wheels_roll_in_whole_ticks():
+    world = simulation(robots={"agent1": robot(0.0, 0.0)})
+    assert world.sample("agent1", "encoders") == Encoders(("left", "right"), (0.0, 0.0), (0.0, 0.0))
+    world.drive("agent1", Wheels(0.1, -0.05), 1.0, "agent1/client/T")
+    world.advance(0.5)
+    under_way = world.sample("agent1", "encoders")
+    world.advance(3.0)
+    stands = world.sample("agent1", "encoders")
+    radius_m, tick_rad = 0.0205, math.tau / 2764
+    assert under_way.angles_rad == pytest.approx((0.05 / radius_m, -0.025 / radius_m), abs=tick_rad)
+    assert under_way.speeds_radps == pytest.approx((0.1 / radius_m, -0.05 / radius_m), rel=1e-3)
+    assert stands.angles_rad == pytest.approx((0.1 / radius_m, -0.05 / radius_m), abs=tick_rad)
+    assert stands.speeds_radps == (0.0, 0.0)
+    assert all(angle / tick_rad == pytest.approx(round(angle / tick_rad)) for angle in stands.angles_rad)
+
+
+def built(model):
+    disc = Disc("agent1", model.radius_m, 0.0, 0.0, 0.0, model.mass_kg)
+    return Robot(model, disc, BatteryModel(BatterySettings(), model.full_v, model.empty_v), 0.0, lambda: 0.0)
+
+
+def test_encoders_turn_by_the_same_however_the_steps_are_grouped():
+    turned = []
+    for groups in ([1] * 70, [70], [3, 67]):
+        robot = built(KHEPERA_III)
+        for speed_mps in (0.1, 0.07):
+            robot.drive(Wheels(speed_mps, -speed_mps), math.inf, "agent1/client/T")
+            for steps in groups:
+                robot.rolls(steps, 0.01)
+        turned.append(robot.turned_m())
+    assert turned[0] == turned[1] == turned[2]
+    assert turned[0] == pytest.approx((0.119, -0.119), rel=1e-2)
+
+
+def test_a_robot_without_a_scanner_or_encoders_says_so():
+    found = built(replace(KHEPERA_III, laser=None, encoders=None))
+    for ask, what in ((found.laser_scanner, "laser scanner"), (found.wheel_encoders, "wheel encoders")):
+        with pytest.raises(PancakesError, match=f"agent1 is a khepera3, which has no {what}"):
+            ask()

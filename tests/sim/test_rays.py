@@ -6,7 +6,8 @@ import random
 import pymunk
 import pytest
 
-from pancakes.sim.arena import Arena, Fan
+from pancakes.sim.arena import Arena
+from pancakes.sim.rays import Fan
 from pancakes.sim.robot_models import KHEPERA_III, IrRing, SonarRing
 
 HALF_M = (2.0, 1.5)

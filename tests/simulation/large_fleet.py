@@ -15,7 +15,7 @@ from pancakes.task import Task, Tick, every, on
 
 LINKS = 4
 GUARDED = 3
-GUARD = {"guard": 3, "lease_s": 2.0}
+GUARD = {"guard": {"copies": 3, "lease_s": 2.0}}
 LOOK_S = 0.5
 
 

@@ -181,7 +181,7 @@ def test_what_it_cannot_do_is_said_in_a_sentence(hearts, tmp_path: Path):
     for seconds in (-1.0, float("inf"), float("nan")):
         with pytest.raises(SimulationError, match="cannot step by"):
             hearts.step(seconds)
-    with pytest.raises(SimulationError, match=r"no agent of this simulation runs a task of the type 'sim\.world'"):
+    with pytest.raises(SimulationError, match="no agent of this simulation runs a simulated world"):
         hearts.world()
     with pytest.raises(SimulationError, match="no agent 'c', only a, b"):
         hearts.task("c", "Heart")
@@ -237,3 +237,8 @@ def test_an_agent_with_a_few_links_has_no_more_once_it_is_started_again() -> Non
         simulation.crash("a05")
         simulation.step(5.0)
         assert 2 <= len(simulation.restart("a05").agent.mesh.connected()) < 6
+
+
+def test_unknown_key_of_a_task_in_code_is_refused(no_leaks):
+    with Simulation() as simulation, pytest.raises(ConfigError, match=r"a: \[task.Heart\] gaurd: unknown key, did you"):
+        simulation.add("a", tasks={"Heart": {"type": Heart, "gaurd": {"copies": 3}}})

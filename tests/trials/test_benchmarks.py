@@ -79,6 +79,11 @@ def test_bench_figures_are_medians_of_turns() -> None:
         wide = Figure("x", "s", wanted=2.0)
         alone(Plan(rounds=5, most_rounds=9), [wide], iter([[1.0], [differs_by]] * 9).__next__)
         assert len(wide.runs) == rounds
+    ours = Figure("modules", "")
+    in_turns_of_all(
+        Plan(rounds=3, most_rounds=5), [(lambda: [7.0], [ours.runs]), (lambda: [0.0], [ours.bare_runs])], [ours]
+    )
+    assert len(ours.runs) == 3, "what is bare has none of these"
 
 
 def record(name: str, runs: list[float], bare_runs: list[float] | None = None, sense: str = "max") -> dict[str, Any]:
@@ -103,6 +108,10 @@ def test_compare_names_what_became_slower() -> None:
     ]
     assert slower(old, new) == ["worse: 2.02 -> 2.62 of the bare one", "more: 10.1 -> 8 ns"]
     assert slower(new, new) == [] == slower([], new)
+    tcp, tls = (
+        {"topic": topic, **record("x", [run] * 5)} for topic, run in (("two_processes", 1.0), ("tls_link", 2.0))
+    )
+    assert slower([tcp, tls], [tcp, tls]) == [] == slower([tls, tcp], [tcp, tls]), "each is another topic's"
 
 
 def test_compare_ends_with_what_became_slower(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ import subprocess
 import threading
 from collections import Counter
 from collections.abc import Callable
+from contextlib import nullcontext
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, NamedTuple
@@ -25,14 +26,17 @@ from torture import (
     gate_command,
     live_commands,
     load_commands,
+    safety_commands,
     standstill_command,
     storm_command,
     takeover_command,
 )
+from torture.collisions import Outcome as Collided
 from torture.cuts import Case as Cut
 from torture.fuzz import Fuzzed, unsound
 from torture.gap import Gaps
 from torture.gates import BALLAST_BYTES
+from torture.halts import Halting
 from torture.late_acts import LateTally, late_between
 from torture.missions import Job, fly
 from torture.missions import Outcome as Flown
@@ -46,7 +50,8 @@ from torture.takeover_tally import Heard, TakeoverTally, Traces
 from torture.tally import Tally
 from torture.traps import Field, Trap
 
-from pancakes.durable.record import Phase, Record, TaskId
+from pancakes.durable.record import Record, TaskId
+from pancakes.durable.register import Epoch, Identity, Register, Standing
 from pancakes.durable.store import RECORD
 from pancakes.journal import FileJournal, JournalEntry, JournalError
 
@@ -69,6 +74,8 @@ class Judged(NamedTuple):
     module: Any
     name: str
     make: Callable[[bool], Any]
+    needs: str = ""
+    """What else of the module the command enters, which this machine may not have."""
 
 
 def flown(broken: bool) -> Any:
@@ -107,6 +114,16 @@ def stood_still(broken: bool) -> Any:
     return lambda seed, dumps: {"seed": seed, "gaps": {"pool": 1} if broken else {}, "looks": 700, "late": 1}
 
 
+def collided(broken: bool) -> Any:
+    return lambda missions, jobs: [
+        Collided(it, int(broken or not it.filtered), 0, 0.1, 1.0, 1e-4, 2e-4, 0.0) for it in missions
+    ]
+
+
+def halted(broken: bool) -> Any:
+    return lambda *_: [Halting(("r1", "r2"), (0.1, 0.6 if broken else 0.2), ()), Halting(("r1",), (0.1,), ())]
+
+
 JUDGED = (
     Judged("missions --seeds 1", command, "fly_all", flown),
     Judged(
@@ -143,6 +160,8 @@ JUDGED = (
     Judged("storms --seeds 2", storm_command, "run_storms", lambda broken: stormy(violated=broken, caught=True)),
     Judged("storms --seeds 2", storm_command, "run_storms", lambda broken: stormy(violated=False, caught=not broken)),
     Judged("takeovers --faults 12", takeover_command, "Takeovers", taken_over),
+    Judged("collisions --missions 2 --judge own", safety_commands, "fly_all", collided),
+    Judged("halts --rounds 2", safety_commands, "halt_often", halted, needs="namespaces"),
 )
 
 
@@ -154,6 +173,8 @@ def test_torture_commands_convict_only_what_is_broken(tmp_path: Path) -> None:
         for broken in (False, True):
             with pytest.MonkeyPatch.context() as patch:
                 patch.setattr(case.module, case.name, case.make(broken))
+                if case.needs:
+                    patch.setattr(case.module, case.needs, lambda *_: nullcontext((object(), [])))
                 clock = SimpleNamespace(monotonic=iter(range(100)).__next__)
                 patch.setattr(standstill_command, "time", clock)
                 result = CliRunner().invoke(command.torture, [*case.arguments.split(), "--json", str(file)])
@@ -227,18 +248,18 @@ def test_torture_traps_kill_the_sender_at_its_word(tmp_path: Path) -> None:
         killed: list[str] = []
         return Trap(point, Field(TASK, tmp_path, tmp_path, killed.append)), killed
 
-    before, killed = trap(Point("", "migration.commit", "lost"))
-    assert before.watch(row("migration.commit", "b", "c", TaskId("c", "Other"))) is Verdict.PASS
-    assert before.watch(row("migration.prepared", "b", "a")) is Verdict.PASS and not killed
-    assert before.watch(row("migration.commit", "a", "b")) is Verdict.END
+    before, killed = trap(Point("", "task.promise", "lost"))
+    assert before.watch(row("task.promise", "b", "c", TaskId("c", "Other"))) is Verdict.PASS
+    assert before.watch(row("task.prepare", "b", "a")) is Verdict.PASS and not killed
+    assert before.watch(row("task.promise", "a", "b")) is Verdict.END
     assert killed == ["a"] and before.spring(0.0) == "a"
     assert before.watch(row("system", "a", "c")) is Verdict.END, "the dead say nothing"
-    assert before.watch(row("migration.commit", "b", "a")) is Verdict.PASS, "one agent is killed, not two"
-    after, killed = trap(Point("", "migration.commit", "sent"))
-    assert after.watch(row("migration.commit", "a", "b")) is Verdict.PASS and killed == ["a"]
-    losing, killed = trap(Point("", "migration.abort", "lost", lose="migration.prepared"))
-    assert losing.watch(row("migration.prepared", "b", "a")) is Verdict.LOSE and not killed
-    assert losing.watch(row("migration.abort", "a", "b")) is Verdict.END and killed == ["a"]
+    assert before.watch(row("task.promise", "b", "a")) is Verdict.PASS, "one agent is killed, not two"
+    after, killed = trap(Point("", "task.promise", "sent"))
+    assert after.watch(row("task.promise", "a", "b")) is Verdict.PASS and killed == ["a"]
+    losing, killed = trap(Point("", "task.known", "lost", lose="task.prepare"))
+    assert losing.watch(row("task.prepare", "b", "a")) is Verdict.LOSE and not killed
+    assert losing.watch(row("task.known", "a", "b")) is Verdict.END and killed == ["a"]
 
 
 def test_torture_trap_holds_an_agent_in_its_write(tmp_path: Path) -> None:
@@ -246,18 +267,22 @@ def test_torture_trap_holds_an_agent_in_its_write(tmp_path: Path) -> None:
     journal = FileJournal(tmp_path / "a")
     failures: list[str] = []
 
-    def write(phase: Phase) -> None:
-        record = Record(TASK, phase, snapshot=bytes(BALLAST_BYTES))
+    a, b = Identity("a"), Identity("b")
+    owned = Register(Epoch(0, a), 0, ((a,),), state=bytes(BALLAST_BYTES), promised=Epoch(0, a))
+
+    def write(register: Register) -> None:
+        record = Record(TASK, register, a)
         try:
             journal.write([JournalEntry(RECORD, str(TASK), record.encode())])
         except JournalError as error:
             failures.append(str(error))
 
-    write(Phase.OWNER)
+    write(owned)
     killed: list[str] = []
-    trap = Trap(Point("", "migration.reserved", "write", Phase.FROZEN), Field(TASK, tmp_path, tmp_path, killed.append))
-    assert trap.watch(row("migration.reserved", "b", "a")) is Verdict.PASS
-    agent = threading.Thread(target=write, args=(Phase.FROZEN,))
+    offered = Point("", "task.prepare", "write", Standing.OFFERED)
+    trap = Trap(offered, Field(TASK, tmp_path, tmp_path, killed.append))
+    assert trap.watch(row("task.prepare", "b", "a")) is Verdict.PASS
+    agent = threading.Thread(target=write, args=(owned._replace(no=1, heir=b),))
     agent.start()
     assert trap.spring(10.0) == "a" and killed == ["a"] and not failures, "it waits in the write"
     trap.clear()  # in a test it lives, and its write fails
@@ -265,7 +290,7 @@ def test_torture_trap_holds_an_agent_in_its_write(tmp_path: Path) -> None:
     assert failures and trap.no_disk_s > 0.0
     journal.close()
     (kept,) = FileJournal(tmp_path / "a").entries(RECORD)
-    assert Record.decode(kept.data).phase is Phase.OWNER
+    assert Record.decode(kept.data).standing is Standing.OWNER
 
 
 LOADED = "from torture.load_fleet import LoadedFleet; fleet = LoadedFleet(Path(sys.argv[1]), {'a': {}})"

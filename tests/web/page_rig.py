@@ -23,7 +23,9 @@ class Fleet:
     """A fake fleet that records the questions to it."""
 
     def __init__(self) -> None:
-        self.feed = Feed(lambda: 1.0)
+        self.t = 1.0
+        """The present on the timeline."""
+        self.feed = Feed(lambda: self.t)
         self.asked: list[tuple[str, Any]] = []
         self.answer: Reply | PancakesError = Reply(None, {"lines": []})
         self.looked: list[tuple[str, Describe]] = []

@@ -1,5 +1,6 @@
 """The model that a page shows, made from packets and descriptions of agents, without a socket."""
 
+import math
 from typing import Any
 
 import numpy as np
@@ -7,9 +8,9 @@ import pytest
 from web.samples import agent, describe, packet, record, task, world
 
 from pancakes.client.rates import RateMeter
-from pancakes.devices import Battery, Infrared, Motion, Pose
+from pancakes.devices import Battery, DockState, Infrared, LaserScan, Motion, Pose
 from pancakes.events import Event
-from pancakes.tools.web.fleet_model import TRAIL, FleetModel
+from pancakes.tools.web.fleet_model import MOST_RAYS, TRAIL, FleetModel
 
 
 @pytest.fixture
@@ -61,6 +62,24 @@ def test_battery_and_range_readings_are_shown(model: FleetModel):
     assert model.board.get("motion/s") == [True, 0.5, None]
 
 
+def test_a_laser_scan_is_drawn_by_its_nearest_rays(model: FleetModel):
+    ranges_mm = tuple(4000 if ray % 4 else 1000 + ray for ray in range(4 * MOST_RAYS - 2)) + (0, 0)
+    scan = LaserScan(-1.0, 0.01, ranges_mm, 4.0)
+    model.hear("a", packet("a/device/laser", "system", "laser_scan", scan), 0.0)
+
+    bearings = model.board.get("ring/a/laser_scan")["bearings_rad"]
+    assert len(bearings) == MOST_RAYS
+    assert bearings[:2] == [-1.0, -0.96]
+    assert model.board.get("rays/a/laser_scan")[:2] == [1.0, 1.004]
+
+
+def test_rays_that_measured_nothing_are_not_drawn(model: FleetModel):
+    model.hear("a", packet("a/device/laser", "system", "laser_scan", LaserScan(0.0, 0.5, (0, 500, 4000), 4.0)), 0.0)
+
+    assert model.board.get("ring/a/laser_scan") == {"bearings_rad": [0.5, 1.0], "max_m": 4.0}
+    assert model.board.get("rays/a/laser_scan") == [0.5, 4.0]
+
+
 def test_card_shows_rates_lateness_and_drops(model: FleetModel):
     rates = RateMeter()
     describe(model, agent("a", task("a", "T", rate_hz=10.0), mission_s=0.0), rates=rates)
@@ -88,6 +107,17 @@ def test_resting_task_shows_the_reason(model: FleetModel):
     model.tell(record("a", "task_started", 1.0, task="T", service="client"), 1.0)
     assert model.board.get("task/a/client/T")["state"] == "running"
     assert "rest" not in model.board.get("task/a/client/T")
+
+
+def test_halted_agent_and_filters_are_shown(model: FleetModel):
+    held = {"filter": "apart", "doing": "holds", "why": "no pose", "passed": 3, "for_s": 1.0}
+    motors = task("a", "motors", "device", device="motors", rest="halted", filters=[held])
+    halt = {"number": 1, "origin": "b", "by": "alice.1/x", "reason": "a child", "spread": True}
+    describe(model, agent("a", motors, halt=halt), agent("b", halt=None))
+    assert model.board.get("agent/a")["halt"] == "halted by alice.1: a child"
+    assert "halt" not in model.board.get("agent/b")
+    row = model.board.get("task/a/device/motors")
+    assert (row["rest"], row["filters"]) == ("halted", [{"filter": "apart", "doing": "holds", "why": "no pose"}])
 
 
 def test_links_appear_and_disappear_with_agents(model: FleetModel):
@@ -159,6 +189,22 @@ def test_world_settings_give_arena_and_sizes(model: FleetModel):
     assert model.board.get("shape/m") == {"kind": "mover", "radius_m": 0.1}
 
 
+def test_world_of_an_unknown_simulator_is_shown_without_sizes(model: FleetModel):
+    describe(model, agent("world", task("world", "World"), role="environment"))
+    settings = {
+        "arena": {"width_m": 4.0, "height_m": 3.0},
+        "robots": {"a": {"model": "not-installed-here"}, "b": {"radius_m": 0.2}, "c": {}},
+        "sensors": {"s": {}},
+        "movers": "none",
+    }
+    model.detail("world", {"service": "client", "task": "World", "settings": settings, "state": {}})
+
+    assert model.board.get("arena") == [4.0, 3.0]
+    assert model.board.get("shape/a") == model.board.get("shape/c") == {"kind": "robot"}
+    assert model.board.get("shape/b") == {"kind": "robot", "radius_m": 0.2}
+    assert model.board.get("shape/s") == {"kind": "sensor"}
+
+
 def test_bids_and_refusals_are_events(model: FleetModel):
     bid = Event("migration_bid", {"task": "T", "source_agent": "a", "cost": 2.0, "terms": {}})
     model.hear("b", packet("b/network/TaskMigrator", "log", "event", bid, 3.0), 1.0)
@@ -223,9 +269,28 @@ def test_guarded_task_shows_guardians_and_permit(model: FleetModel):
 
 
 def test_guarded_task_without_a_permit_is_shown_paused(model: FleetModel):
-    stands = task("a", "T", rest="stands still", guarding=guarding(0.0, 9.0, 9.0))
+    stands = task("a", "T", rest="paused", guarding=guarding(0.0, 9.0, 9.0))
     describe(model, agent("a", stands))
     row = model.board.get("task/a/client/T")
-    assert (row["state"], row["rest"], row["guards"]["permit_s"]) == ("running", "stands still", 0.0)
+    assert (row["state"], row["rest"], row["guards"]["permit_s"]) == ("running", "paused", 0.0)
     describe(model, agent("a", task("a", "T", guarding=guarding(1.0, 0.1, 0.1))))
     assert "rest" not in model.board.get("task/a/client/T")
+
+
+def test_a_battery_that_is_charged_and_the_dock_that_does_it_are_shown(model: FleetModel):
+    model.hear("a", packet("a/device/battery", "system", "battery", Battery(7.987, 0.6543, charging=True)), 0.0)
+    dock = packet("d/device/dock", "system", "dock_state", DockState("charging", 1.0, -0.5, "a"))
+    model.hear("d", dock, 0.0)
+    model.hear("a", dock, 0.0)  # as a neighbour of the dock it hears it as well
+
+    assert model.board.get("battery/a") == [7.99, 0.654, True]
+    assert model.board.keys("dock/") == ["dock/d"] and model.board.get("dock/d") == [1.0, -0.5, "charging", "a"]
+
+
+def test_a_reserve_and_its_trouble_are_shown(model: FleetModel):
+    describe(model, agent("a", reserve={"seconds": 81.4, "trouble": "knows no dock"}))
+    assert {"reserve_s": 81, "charge_trouble": "knows no dock"}.items() <= model.board.get("agent/a").items()
+    describe(model, agent("a", reserve={"seconds": math.nan, "trouble": ""}))
+    assert "reserve_s" not in model.board.get("agent/a")
+    describe(model, agent("a", reserve=None))
+    assert "reserve_s" not in model.board.get("agent/a")

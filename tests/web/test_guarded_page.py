@@ -8,7 +8,7 @@ from typing import Any
 from cli.processes import Rig, Running
 from web.browsing import WALK, WALKING, chip, expect, opened, view
 
-GUARDED = WALKING + 'guard = 3\nlease_s = 2.0\ncheckpoint_s = 0.2\nguardians = ["b", "c"]\n'
+GUARDED = WALKING + 'guard = { copies = 3, lease_s = 2.0, checkpoint_s = 0.2, guardians = ["b", "c"] }\n'
 
 
 def guarding(rig: Rig) -> tuple[Running, Running]:
@@ -37,6 +37,6 @@ def test_guarded_task_on_the_page_is_shown_paused(rig: Rig, browser: Any, faults
         other.process.kill()
     expect(guards).to_have_text(re.compile(r"b \(silent\) · c \(silent\) · no permit$"))
     expect(guards).to_have_class(re.compile("warn"))
-    expect(walk.locator(".notes")).to_have_text("stands still")
-    expect(page.locator("#events").get_by_text("Walk stands still on a: its guardians do not answer")).to_be_visible()
+    expect(walk.locator(".notes")).to_have_text("paused")
+    expect(page.locator("#events").get_by_text("Walk is paused on a: its guardians do not answer")).to_be_visible()
     assert faults == []

@@ -123,7 +123,7 @@ def test_task_is_controlled_by_keyboard(acting: Any):
     acting.keyboard.press("Escape")
 
     walk.get_by_role("button").press("Enter")
-    dialog.get_by_role("button", name="Ask …").press("Enter")
+    dialog.get_by_role("button", name="Move …").press("Enter")
     expect(dialog.get_by_role("button", name="Move it to b")).to_be_focused()
     acting.keyboard.press("Enter")
     expect(chip(acting, "b", "Walk")).to_have_attribute("data-state", "running")

@@ -297,7 +297,9 @@ def test_page_without_control_is_refused(looking: Any):
     expect(looking.locator("dialog[open]")).to_have_count(0)
     chip(looking, "a", "Walk").get_by_role("button").click()
     expect(looking.get_by_role("dialog")).to_contain_text("walk.Walk")
-    expect(looking.get_by_role("dialog").get_by_role("button")).to_have_text(["Close"])
+    expect(looking.get_by_role("dialog").get_by_role("button")).to_have_text(
+        ["Close", "Plot its rate", "Plot its lateness"]
+    )
 
     answer = looking.evaluate(
         """() => new Promise((resolve) => {

@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from pancakes.control import Configure, Migrate, Reschedule, Restart, Start, Stop
+from pancakes.control import Configure, Drive, EndDrive, EndHalt, Halt, Migrate, Reschedule, Restart, Start, Stop
 from pancakes.errors import ControlRefusedError
 from pancakes.tools.web.orders import order_from
 
@@ -35,6 +35,34 @@ def test_order_becomes_a_control_packet(message: dict[str, Any], body: Any):
 
     assert order.agent == "a"
     assert order.body() == body
+
+
+@pytest.mark.parametrize(
+    ("message", "body"),
+    [
+        ({"do": "halt"}, Halt()),
+        ({"do": "halt", "reason": "a child on the field"}, Halt("a child on the field")),
+        ({"do": "end_halt"}, EndHalt()),
+    ],
+)
+def test_halt_of_a_page_becomes_a_control_packet(message: dict[str, Any], body: Any):
+    order = order_from({"agent": "a", **message})
+    assert (order.agent, order.body()) == ("a", body)
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        {"do": "halt", "task": "client/T"},
+        {"do": "halt", "agent": ""},
+        {"do": "halt", "reason": "x" * 201},
+        {"do": "halt", "dry_run": True},
+        {"do": "end_halt", "reason": "x"},
+    ],
+)
+def test_invalid_halt_of_a_page_is_refused(message: dict[str, Any]):
+    with pytest.raises(ControlRefusedError, match="the page sent an invalid order"):
+        order_from({"agent": "a", **message})
 
 
 @pytest.mark.parametrize(
@@ -108,3 +136,38 @@ def test_largest_allowed_settings_are_accepted():
 def test_invalid_rate_is_refused():
     with pytest.raises(ControlRefusedError, match="a rate must lie between 0 and 10,000 ticks a second, not -1"):
         order_from({**TASK, "do": "rate", "rate_hz": -1})
+
+
+ID = "0123456789abcdef"
+
+
+@pytest.mark.parametrize(
+    ("message", "body"),
+    [
+        ({"do": "drive", "begin": True, "take": True}, Drive("motors", ID, begin=True, take=True)),
+        ({"do": "drive", "v_mps": 1, "omega_radps": -0.5}, Drive("motors", ID, 1.0, -0.5)),
+        ({"do": "end_drive"}, EndDrive("motors", ID)),
+    ],
+)
+def test_drive_of_a_page_becomes_a_control_packet(message: dict[str, Any], body: Any):
+    order = order_from({"agent": "a", "device": "motors", "drive": ID, **message})
+    assert (order.agent, order.body()) == ("a", body)
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        {"do": "drive", "device": "client/T"},
+        {"do": "drive", "drive": ""},
+        {"do": "drive", "drive": "x" * 16},
+        {"do": "drive", "drive": "a" * 65},
+        {"do": "drive", "v_mps": 1e9},
+        {"do": "drive", "v_mps": "fast"},
+        {"do": "drive", "dry_run": True},
+        {"do": "end_drive", "v_mps": 1.0},
+        {"do": "end_drive", "take": True},
+    ],
+)
+def test_invalid_drive_of_a_page_is_refused(message: dict[str, Any]):
+    with pytest.raises(ControlRefusedError, match="the page sent an invalid order"):
+        order_from({"agent": "a", "device": "motors", "drive": ID, **message})

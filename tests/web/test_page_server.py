@@ -197,7 +197,8 @@ ORDER = {"do": "migrate", "agent": "a", "task": "client/T", "to": "b", "dry_run"
 def test_page_with_the_token_may_order(server: PageServer, fleet: Fleet):
     assert server.address == f"http://127.0.0.1:{server.port}/#token={server.token}"
     with page(server) as connection:
-        assert ask(connection, "hello", token=server.token)["result"] == {"control": True, "title": "a fleet"}
+        greeting = {"control": True, "title": "a fleet", "password": False}
+        assert ask(connection, "hello", token=server.token)["result"] == greeting
         assert ask(connection, "order", **ORDER)["result"] == {"lines": []}
     assert fleet.asked == [("a", Migrate("client/T", "b", dry_run=True))]
 

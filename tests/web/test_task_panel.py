@@ -185,7 +185,7 @@ def test_panel_without_control_shows_past_states(strolling: Rig, browser: Any, f
     expect(form.locator("[data-setting='legs.count'] .value")).to_have_text("4")
     expect(dialog.get_by_role("form", name="Rates").locator("[data-setting=step] .value")).to_have_text("20")
     assert dialog.locator("input, select, textarea").count() == 0
-    expect(dialog.get_by_role("button")).to_have_text(["Close"])
+    expect(dialog.get_by_role("button")).to_have_text(["Close", "Plot its rate", "Plot its lateness"])
     expect(shown(state, "grid")).to_have_text(re.compile(r"^\[\[0, 0, .*… \(float64, 40 x 25\)$"))
     expect(state).to_contain_text("pancakes task info a/client/Stroll --state --format json")
     assert page.evaluate("document.querySelector('dialog[open]').scrollWidth") <= PHONE["width"]

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pancakes.tools.short_state import MOST_BYTES, ShortState, shortened
+from pancakes.tools.short_state import MOST_BYTES, MOST_NODES, ShortState, TreeRow, shortened
 from pancakes.tools.web.timeline import StateHistory
 
 
@@ -50,6 +50,50 @@ def test_long_values_are_cut_with_their_length():
         ("text", f"{'x' * 20}… (50 characters)"),
         ("list", "[0, 1, 2, 3, 4, 5, 6… (1000 items)"),
         ("array", "[[0, 0, 0, 0, 0, 0, … (float64, 30 x 20)"),
+    )
+
+
+def node(depth: int, name: str, **others: Any) -> dict[str, Any]:
+    """Return a node of a behaviour tree as the state of its task has it."""
+    return {
+        "name": name,
+        "kind": "Walk",
+        "depth": depth,
+        "status": "RUNNING",
+        "message": "",
+        "child": -1,
+        "kept": {},
+        **others,
+    }
+
+
+def test_nodes_of_a_behaviour_tree_stand_apart_from_the_other_fields():
+    short = shortened({"nodes": [node(0, "root"), node(1, "leg", status="FAILURE", message="fell")], "blackboard": {}})
+
+    assert short.tree == (TreeRow(0, "root", "Walk", "RUNNING", ""), TreeRow(1, "leg", "Walk", "FAILURE", "fell"))
+    assert (short.rows, short.cut) == ((("blackboard", "{}"),), False)
+    assert short.size() > len("rootlegfell")
+
+
+@pytest.mark.parametrize(
+    "nodes", [[], 3, [1, 2], [{"name": "root"}], [node(0, "root", status="ASLEEP")], [node(10**9, "root")]]
+)
+def test_a_field_of_another_kind_is_no_behaviour_tree(nodes: Any):
+    short = shortened({"nodes": nodes})
+    assert (short.tree, [name for name, _ in short.rows]) == ((), ["nodes"])
+
+
+def test_large_behaviour_tree_is_cut():
+    many = shortened({"nodes": [node(1, f"n{number}") for number in range(MOST_NODES + 1)]})
+    long = shortened({"nodes": [node(0, "x" * 50, message="y" * 50)]}, most_chars=20)
+    kind = shortened({"nodes": [node(0, "root", kind="x" * 50)]}, most_chars=20)
+
+    assert (len(many.tree), many.cut) == (MOST_NODES, True)
+    assert (kind.tree[0].kind, kind.cut) == (f"{'x' * 20}… (50 characters)", True)
+    assert (long.tree[0].name, long.tree[0].message, long.cut) == (
+        f"{'x' * 20}… (50 characters)",
+        f"{'y' * 20}… (50 characters)",
+        True,
     )
 
 

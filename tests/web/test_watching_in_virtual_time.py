@@ -12,6 +12,7 @@ import pytest
 
 from pancakes.config import parse
 from pancakes.control import Describe
+from pancakes.devices import Load
 from pancakes.errors import ControlRefusedError, UnreachableError
 from pancakes.simulation.fleet import Fleet
 from pancakes.tools.web.virtual_watch import VirtualWatch
@@ -25,11 +26,10 @@ def fly(watch: VirtualWatch | None, place: Path) -> list[dict[str, Any]]:
     fleet = Fleet(seed=3)
     try:
         for name in ("world", "agent1", "sensor"):
-            text = (ENCIRCLEMENT / f"{name}.toml").read_text().replace("hold = true", "hold = false")
-            text = text.replace("[agent]", "[agent]\nseed = 3\nbirth_wait_s = 0").replace(
-                "trajectory.csv", f"{place}/trajectory.csv"
-            )
-            fleet.start_config(parse(text, where=name), settle=False, probe=False)
+            text = (ENCIRCLEMENT / f"{name}.toml").read_text()
+            text = text.replace("trajectory.csv", f"{place}/trajectory.csv")
+            sets = ["agent.seed=3", "agent.birth_wait_s=0", "clock.hold=false"]
+            fleet.start_config(parse(text, str(ENCIRCLEMENT / f"{name}.toml"), sets), settle=False, probe=False)
         if watch is not None:
             watch.begin(fleet)
         states: list[Any] = []
@@ -65,6 +65,10 @@ def test_virtual_watch_shows_a_run_without_changing_it(tmp_path: Path):
     explained = watch.explain("agent1")
     assert explained is not None
     assert [step["type"] for step in explained["steps"][-2:]] == ["pose", "motors"]
+    found = {name for words in ("agent1", "world") for name, _, _ in watch.feed.find_series(words, 2000)["rows"]}
+    commands, readings = "agent1/client/ScanTarget motors v_mps", "agent1/device/battery battery voltage_v"
+    assert {commands, readings, "agent1 late_ms", "world/client/World world_state bodies.agent1.x_m"} <= found
+    assert len(watch.feed.plot([commands], [-1.0])[commands][1]) >= 3
 
 
 def test_virtual_watch_looks_at_tasks_between_turns():
@@ -125,3 +129,20 @@ def test_watch_needs_a_name_if_there_are_several_fleets():
         fleet_among(rows)
     with pytest.raises(UnreachableError, match="no agent of the fleet 'three' was found, only of one, two"):
         fleet_among(rows, "three")
+
+
+def test_virtual_watch_follows_the_channels_of_tasks():
+    stopped = threading.Event()
+    stopped.set()
+    watch = VirtualWatch(5.0, stopped)
+    text = 'schema = 1\n[agent]\nname = "a"\nbirth_wait_s = 0\n[channel.weather]\n'
+    with closing(Fleet()) as fleet:
+        fleet.start_config(parse(text, where="a"))
+        watch.begin(fleet)
+        watch.pace()
+        fleet.agents["a"].publish("weather", Load(0.25))
+        fleet.run_for(1.0)
+        watch.pace()
+
+    (row,) = watch.feed.find_series("load cpu", 10)["rows"]
+    assert row[0].endswith(" load cpu") and row[2] == 0.25

@@ -208,3 +208,32 @@ def test_watch_that_has_ended_asks_nobody(rig: Rig, seen: Seen, watch: Watch):
 
     with pytest.raises(UnreachableError, match="its agents no longer answer"):
         watch.order("a", Stop("device/load"), PATIENCE_S).result(PATIENCE_S)
+
+
+TALK = """
+import msgspec
+from pancakes import Task, every, packet_type
+
+@packet_type("gust")
+class Gust(msgspec.Struct, frozen=True):
+    speed_mps: float
+
+class Talk(Task):
+    @every(hz=10)
+    def talk(self, tick):
+        self.publish("weather", Gust(3.5))
+"""
+
+
+def test_watch_follows_packets_that_a_page_plots(rig: Rig, seen: Seen, watch: Watch):
+    """Also of a channel that a task made, and of a type that is unknown here."""
+    rig.install("talk", "[pancakes.tasks]\ntalk.Talk = plugin_talk:Talk\n", TALK)
+    rig.ready("a", LOAD + '[channel.weather]\n[task.Talk]\ntype = "talk.Talk"\n')
+    watch.start()
+    seen.wait(lambda it: "agent/a" in it["set"])
+    assert seen.feed.find_series("gust", 10)["rows"] == []
+
+    names = ["a/client/Talk gust speed_mps", "a/device/load load cpu"]
+    seen.wait(lambda it: len(seen.feed.plot(names, [-1.0, -1.0])) == 2)
+    assert seen.feed.find_series("talk gust", 10)["rows"] == [("a/client/Talk gust speed_mps", "m/s", 3.5)]
+    assert seen.feed.plot(names, [-1.0, -1.0])["a/device/load load cpu"][2][0] >= 0.0

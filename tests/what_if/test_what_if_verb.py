@@ -24,7 +24,7 @@ def rig(tmp_path_factory) -> Iterator[Rig]:
 
 
 def test_a_move_shows_its_bids_and_what_it_would_do(rig: Rig):
-    done = rig.pancakes("what-if", "move", "a/One", "--for", "1s")
+    done = rig.pancakes("what-if", "migrate", "a/One", "--for", "1s")
     assert done.returncode == 0, done.stderr
     assert "measuring for 1 s" in done.stderr
     out = done.stdout
@@ -56,11 +56,11 @@ def test_an_agent_that_goes_names_the_place_of_each_task(rig: Rig):
 @pytest.mark.parametrize(
     ("arguments", "code", "sentence"),
     [
-        (["move", "a/Onee"], 1, "a has no task 'Onee', did you mean 'One'?"),
-        (["move", "a/One", "--to", "x"], 1, "x"),
-        (["move", "x/One"], 3, "x"),
-        (["move", "a/One", "--cost", "nonsense"], 1, "knows no cost function 'nonsense'"),
-        (["move", "a"], 2, "'a' is not a valid task name"),
+        (["migrate", "a/Onee"], 1, "a has no task 'Onee', did you mean 'One'?"),
+        (["migrate", "a/One", "--to", "x"], 1, "x"),
+        (["migrate", "x/One"], 3, "x"),
+        (["migrate", "a/One", "--cost", "nonsense"], 1, "knows no cost function 'nonsense'"),
+        (["migrate", "a"], 2, "'a' is not a valid task name"),
         (["rate", "a/One", "-1"], 2, "-1"),
         (["rate", "a/One", "5", "--timer", "x"], 1, "has no timer 'x', only burn"),
         (["rate", "a/One", "5", "--for", "0.01s"], 2, "a measurement takes 0.1 to 600 s"),

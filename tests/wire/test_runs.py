@@ -17,8 +17,9 @@ from hypothesis import strategies as st
 from seeded import for_each
 
 from pancakes.devices import Infrared, Pose
-from pancakes.durable.messages import CheckpointBody, CheckpointId, KeepLease
-from pancakes.durable.record import Epoch, GuardianId, Guards, TaskId
+from pancakes.durable.messages import Accept, Accepted
+from pancakes.durable.record import TaskId
+from pancakes.durable.register import Epoch, Identity, Register
 from pancakes.errors import LocalProtocolError, RemoteProtocolError
 from pancakes.mesh.codec import (
     LONGEST_REASON,
@@ -121,15 +122,15 @@ def test_runs_and_messages_of_the_link_keep_their_order():
     assert read(frame([run, ping, run])[4:]) == [[packet(1)], Ping(3), [packet(1)]]
 
 
-KEEP = KeepLease(
+OWNER = Epoch(2, Identity("a", "ja"))
+ACCEPT = Accept(
     TaskId("a", "One"),
     "count.Count",
-    Epoch(2, "a"),
-    7,
-    2.0,
-    CheckpointId(Epoch(2, "a"), 3),
-    Guards(Epoch(2, "a"), 1, ((GuardianId("a", "ja"), GuardianId("b", "jb")),)),
-    CheckpointBody(b"state"),
+    "client",
+    Register(OWNER, 3, ((Identity("a", "ja"), Identity("b", "jb")),), promised=OWNER),
+    beat=7,
+    lease_s=2.0,
+    state=b"state",
 )
 """A body with named tuples in it."""
 
@@ -142,7 +143,7 @@ def test_what_is_encoded_at_once_is_what_plain_values_would_be():
     assert len(samples) > 5
     samples += [Pose(1.0, 2.0, 3.0), Open({"a": [1, (2.0, None)]}), Odd(2), Strict(4)]
     samples += [Tree((1.0, 2.0), (Tree((3.0,)),)), Open(numpy.float64(2.0)), Open([True, b"x", {"y": ()}])]
-    samples += [KEEP, msgspec.structs.replace(KEEP, body=None)]
+    samples += [ACCEPT, msgspec.structs.replace(ACCEPT, state=None)]
     for sample in samples:
         for _ in range(2):  # what is known of a class is known from its second packet on
             plain = msgpack.unpackb(msgspec.msgpack.encode(encodable(sample)))
@@ -230,17 +231,17 @@ def test_the_fence_is_in_the_head():
 
 
 def test_named_tuples_arrive_as_what_they_were_and_one_that_does_not_fit_costs_its_packet() -> None:
-    its = [packet(KEEP, "guard.keep", seq) for seq in range(2)]
+    its = [packet(ACCEPT, "task.accept", seq) for seq in range(2)]
     rows = [RowEncoder(b"").encode(it) for it in its]
     plain = msgpack.unpackb(rows[0])
-    plain[3]["epoch"] = [2]
+    plain[3]["register"][0] = [2]
     rows.insert(1, msgpack.packb(plain))
     (run,) = messages_from_payload(frame([run_of(head_of(its[0]), rows)])[4:])
     assert isinstance(run, PacketRun)
     packets, unfit = packets_of(run)
-    assert [it.body for it in packets] == [KEEP, KEEP]
-    assert [type(it.body.checkpoint) for it in packets] == [CheckpointId, CheckpointId]
-    assert len(unfit) == 1 and "epoch" in unfit[0].reason
+    assert [it.body for it in packets] == [ACCEPT, ACCEPT]
+    assert [type(it.body.register) for it in packets] == [Register, Register]
+    assert len(unfit) == 1 and "register" in unfit[0].reason
 
 
 def test_closed_classes():
@@ -254,7 +255,7 @@ def test_closed_classes():
             (Infrared, True),
             (Fence, True),
             (Strict, True),
-            (KeepLease, True),
+            (Accepted, True),
             (Open, False),
             (Tree, False),
             (Odd, False),

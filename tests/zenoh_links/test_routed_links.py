@@ -205,7 +205,7 @@ def transport_with(rig: ZenohRig, **settings: Any) -> SocketTransport:
 def test_what_is_wrong_is_said_with_what_to_do(rig, tmp_path):
     without = SocketTransport(rig.clock, "x", Plugins(), {"zenoh": {"routers": ["tcp/127.0.0.1:1"]}})
     rig.transports.append(without)
-    with pytest.raises(PancakesError, match=r"'zenoh://x:1' needs keys: run pancakes fleet join"):
+    with pytest.raises(PancakesError, match=r"'zenoh://x:1' needs keys: run pancakes keys join"):
         without.listen("zenoh://x:1", rig.ear)
     with pytest.raises(PancakesError, match=r"no Zenoh router is known: name one in \[service.network\]"):
         transport_with(rig).listen("zenoh://x:1", rig.ear)

@@ -186,11 +186,11 @@ def _measure(topic: str, plan: Plan, records: list[dict[str, Any]]) -> bool:
         beside = getattr(module, "BESIDE", "bare")
         print(f"{module.TITLE}\n{'':46} {'Pancakes':>12} {beside:>12}        ratio (of the runs)", flush=True)
         for found in module.measure(plan):
-            records.append(found.record())
+            records.append({"topic": topic, **found.record()})
             print(_line(found), flush=True)
     except Exception as error:  # whatever it is, the other topics have nothing to do with it
         found = Failed(topic, format_exception_only(error)[-1].strip())
-        records.append(found.record())
+        records.append({"topic": topic, **found.record()})
         print(f"{_line(found)}\n", flush=True)
         return False
     print()

@@ -1,4 +1,4 @@
-"""What has become slower since an earlier run: the figures of both, by their names."""
+"""What has become slower since an earlier run: the figures of both, by topic and name."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ def slower(old: Sequence[Record], new: Sequence[Record]) -> list[str]:
         old: the records of the earlier run.
         new: those of this run.
     """
-    before = {record["name"]: record for record in old if "value" in record}
+    before = {_key(record): record for record in old if "value" in record}
     lines = []
     for record in new:
-        then = before.get(record["name"])
+        then = before.get(_key(record))
         if then is None or "value" not in record:
             continue
         sides = [(then["value"], then["runs"], record["value"], record["runs"])]
@@ -39,6 +39,11 @@ def slower(old: Sequence[Record], new: Sequence[Record]) -> list[str]:
             unit = record["unit"] if len(sides) == 1 else "of the bare one"
             lines.append(f"{record['name']}: {was:.4g} -> {now:.4g} {unit}".rstrip())
     return lines
+
+
+def _key(record: Record) -> tuple[str, str]:
+    """Returns what a figure is known by: several topics measure a round trip."""
+    return record.get("topic", ""), record["name"]
 
 
 def _is_worse(was: float, runs_then: Sequence[float], now: float, runs: Sequence[float], sign: float) -> bool:

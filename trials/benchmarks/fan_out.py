@@ -25,9 +25,9 @@ from pancakes.packet import SYSTEM, Packet
 from pancakes.task import Task, Tick, every, on
 
 TITLE = "a channel to its subscribers"
-SUBSCRIBERS: tuple[tuple[int, float | None, float | None], ...] = ((1, 0.20, None), (10, None, None), (100, 0.12, 0.06))
+SUBSCRIBERS: tuple[tuple[int, float | None, float | None], ...] = ((1, 0.28, None), (10, None, None), (100, 0.17, 0.09))
 """How many there are, and what is wanted of a delivery, and of the time until the last has it."""
-FROM_A_DRIVER = 0.40
+FROM_A_DRIVER = 0.45
 """What is wanted of a delivery to one subscriber from a driver's own thread."""
 DELIVERIES = 100_000
 BURST = 64

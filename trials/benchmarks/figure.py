@@ -84,8 +84,10 @@ class Figure:
     @property
     def is_wide(self) -> bool:
         """Whether its rounds differ so much that more of them are needed."""
+        if self.wanted is None:
+            return False  # its baseline may be 0, as that of modules which only we have
         low, high = self.spread
-        return self.wanted is not None and high > WIDE * low
+        return high > WIDE * low
 
     @property
     def is_missed(self) -> bool:

@@ -61,7 +61,7 @@ def measure(plan: Plan) -> Iterator[Figure]:
         Figure("sent and received by an agent", "kB/s", wanted=200.0, absolute=True),
     ]
     tasks = plan.share(TASKS) // len(AGENTS) * len(AGENTS) or len(AGENTS)
-    yield from in_turns(plan, figures, partial(_run, tasks, "guard = 3\n"), partial(_run, tasks, ""))
+    yield from in_turns(plan, figures, partial(_run, tasks, "guard = { copies = 3 }\n"), partial(_run, tasks, ""))
 
 
 def _run(tasks: int, guard: str) -> list[float]:

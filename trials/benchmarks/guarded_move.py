@@ -39,7 +39,7 @@ def measure(plan: Plan) -> Iterator[Figure]:
 def _run(moves: int, guardians: int) -> list[float]:
     with tempfile.TemporaryDirectory(prefix="pancakes-gap-") as text:
         directory = Path(text)
-        rest = pilot_on_left(directory, STATE_BYTES, f"guard = {guardians}\n" if guardians > 1 else "")
+        rest = pilot_on_left(directory, STATE_BYTES, f"guard = {{ copies = {guardians} }}\n" if guardians > 1 else "")
         fleet = LiveFleet(directory, (*NAMES, WATCHER), rest)
         try:
             for name in fleet.names:

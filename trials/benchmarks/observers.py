@@ -19,11 +19,11 @@ far the ratio is to be trusted.
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 import sys
 import tempfile
 import time
-import tomllib
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
@@ -37,6 +37,7 @@ from benchmarks.agent_process import listening_at, offer_tasks, ready_process
 from benchmarks.figure import Figure, Plan
 
 from pancakes.client import Client, Target
+from pancakes.config.toml_reader import read_values
 from pancakes.control import Begin, Configure, Describe, Start, Stop
 from pancakes.tools.launch.ports import claim_ports
 from pancakes.tools.web.feed import Feed
@@ -219,12 +220,15 @@ def running_demo(fleet: str) -> Iterator[Demo]:
         directory = Path(name)
         environment = dict(offer_tasks(directory / "python"))
         files = {}
+        shutil.copy(CONFIGS / "common.toml", directory)
         for agent in AGENTS:
             text = (CONFIGS / f"{agent}.toml").read_text()
             text += '\n[task.Steady]\ntype = "bench.Steady"\n'
             files[agent] = directory / f"{agent}.toml"
             files[agent].write_text(text)
-        claim, moved = claim_ports({agent: tomllib.loads(path.read_text()) for agent, path in files.items()})
+        claim, moved = claim_ports(
+            {agent: read_values(path.read_text(), str(path)).values for agent, path in files.items()}
+        )
         if claim is not None:
             stack.callback(claim.release)
         processes = {}

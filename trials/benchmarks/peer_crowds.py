@@ -36,7 +36,7 @@ def measure(plan: Plan) -> Iterator[Figure | Missing]:
         packets = plan.share(shape.packets)
         return lambda: [crowd.rate(shape, packets, zenoh_crowd(python, shape, packets, SIZE))]
 
-    to_one = Figure("8 agents to 1, 64 B", "1/s", "min", 1.7)
+    to_one = Figure("8 agents to 1, 64 B", "1/s", "min", 1.0)
     at_receiver, at_senders = (Figure(f"the same: CPU of a packet, {it}", "µs", least=True) for it in _SIDES)
 
     def ours_to_one() -> list[float]:
@@ -50,8 +50,8 @@ def measure(plan: Plan) -> Iterator[Figure | Missing]:
     ]
     yield from in_turns_of_all(plan, sides, [to_one, at_receiver, at_senders])
 
-    key_each = Figure("all to all of 8, 64 B; a key a receiver", "1/s", "min", 1.8)
-    key_all = Figure("all to all of 8, 64 B; a key a sender", "1/s", "min", 0.9, runs=key_each.runs)
+    key_each = Figure("all to all of 8, 64 B; a key a receiver", "1/s", "min", 1.0)
+    key_all = Figure("all to all of 8, 64 B; a key a sender", "1/s", "min", 1.0, runs=key_each.runs)
     named = Figure("each receiver named; a key a receiver", "1/s", "min", bare_runs=key_each.bare_runs)
     sides = [
         (ours(ALL_TO_ALL), [key_each.runs]),

@@ -21,7 +21,7 @@ SIZE = 64
 ROUND_TRIPS = 3000
 PACKETS = {"pancakes": 100_000, "pyzmq": 100_000, "zenoh": 100_000, "rospy": 30_000, "rclpy": 10_000, "mango": 10_000}
 """How many go one way in a run."""
-ONE_WAY_WANTED = {"pyzmq": 1.0, "rospy": 4.0}
+ONE_WAY_WANTED = {"zenoh": 1.0, "rospy": 3.0}
 
 
 def measure(plan: Plan) -> Iterator[Figure | Missing]:

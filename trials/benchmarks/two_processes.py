@@ -125,7 +125,7 @@ def measure(plan: Plan) -> Iterator[Figure]:
     yield from in_turns(
         plan,
         [
-            Figure("round trip, 64 B: p50", "µs", wanted=1.35),
+            Figure("round trip, 64 B: p50", "µs", wanted=0.60),
             Figure("round trip, 64 B: p99", "µs"),
             Figure("one way, 64 B; bare: a send each", "1/s", "min"),
             Figure("one way, 64 B; bare: many in a send", "1/s", "min"),

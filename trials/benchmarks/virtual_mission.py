@@ -22,7 +22,7 @@ from pancakes.util.plugins import Plugins
 TITLE = "a mission in virtual time"
 BESIDE = ""
 DEMO = "encirclement"
-WANTED = 200.0
+WANTED = 160.0
 """Times real time."""
 
 

@@ -19,6 +19,7 @@ from torture.gate_command import gate
 from torture.live_commands import cuts, gap, kills
 from torture.load_commands import load
 from torture.missions import FIGURES, figures_of, fly_all
+from torture.safety_commands import collisions, halts
 from torture.schedules import run_schedule, run_schedules
 from torture.standstill_command import standstill
 from torture.storm_command import storms
@@ -170,7 +171,7 @@ COUNTED = (
 """The figures of fault schedules: their names for people, and their keys in `Outcome.counts`."""
 
 
-for live in (kills, cuts, gap, gate, load, standstill, storms, takeovers):
+for live in (kills, cuts, gap, gate, load, standstill, storms, takeovers, collisions, halts):
     torture.add_command(live)
 
 

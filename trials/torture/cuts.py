@@ -1,4 +1,4 @@
-"""Cut the link between two real agents at each step of a hand-off; the table `ENDS` says how each must end."""
+"""Cut the link between two real agents at each step of a migration; the table `ENDS` says how each must end."""
 
 from __future__ import annotations
 
@@ -18,7 +18,15 @@ from pancakes.client import Client, Target
 from pancakes.control import Describe, Migrate
 from pancakes.errors import PancakesError
 
-STEPS = ("solicit", "bid", "reserve", "reserved", "transfer", "prepared", "commit", "activated")
+STEPS = {
+    "solicit": "migration.solicit",
+    "bid": "migration.bid",
+    "accept": "task.accept",
+    "prepare": "task.prepare",
+    "promise": "task.promise",
+    "known": "task.known",
+}
+"""The steps of a migration, each with the packet that is lost."""
 FATES = ("heals at once", "heals after 3 s", "source dies", "destination dies")
 NAMES = ("source", "destination")
 NOBODY = "nobody"
@@ -45,11 +53,11 @@ def ends(step: str, fate: str, tells_losses: bool = True) -> End:
         fate: what happens then.
         tells_losses: whether the message is lost for good, see `Ground`.
     """
-    given_away = step in ("commit", "activated")  # the source has written COMMITTED: there is no way back
-    taken = step == "activated"
+    given_away = step in ("promise", "known")  # the source has written its promise: there is no way back
+    taken = step == "known"
     if fate == "heals at once":
         # In the middle, a lost message is repeated, or the source takes the task back: both are right.
-        either = not tells_losses or step in ("transfer", "prepared")
+        either = not tells_losses or step in ("accept", "prepare")
         return End(
             ("source", "destination", NOBODY),
             ("destination",) if given_away else NAMES if either else ("source",),
@@ -124,7 +132,7 @@ class Cutter:
             fleet.start(name, wait=True)
         with Client(Target((fleet.addresses["source"],), "torture"), 10.0) as client:
             wait_for_both(client, "source", "destination")
-            link.cut_at(f"migration.{step}")
+            link.cut_at(STEPS[step])
             asking = threading.Thread(target=_ask, args=(client,), daemon=True)
             asking.start()
             if not link.cut.wait(10.0):

@@ -1,4 +1,4 @@
-"""Fuzz an agent as a member of its fleet: send names, sources, runs and hand-offs that are nearly valid.
+"""Fuzz an agent as a member of its fleet: send names, sources, runs and migrations that are nearly valid.
 
 The fuzzer has keys and sends a valid hello, then frames as fast as the agent takes them. Some frames break the
 protocol and so end the link; then it connects again. The agent must survive, answer its own user, and not grow.
@@ -37,9 +37,25 @@ from pancakes.control import (
 )
 from pancakes.devices import Battery, Load
 from pancakes.durable.delivery import AskBegan, ForwardTo, Letter, Receipt, StreamsBegan
-from pancakes.durable.messages import Abort, Activated, Bid, Commit, Nak, Piece, Prepared, Reserve, Reserved, Solicit
-from pancakes.durable.ownership import TaskAt, WhereIs
-from pancakes.durable.record import Epoch, TaskId
+from pancakes.durable.messages import (
+    Accept,
+    Accepted,
+    Bid,
+    BootRemembered,
+    Call,
+    CanGuard,
+    Fact,
+    Known,
+    MayGuard,
+    Piece,
+    Prepare,
+    Promise,
+    Refuse,
+    Solicit,
+    WhoHas,
+)
+from pancakes.durable.record import TaskId
+from pancakes.durable.register import Epoch, Identity, Register
 from pancakes.errors import RemoteProtocolError
 from pancakes.events import Event, LogLine
 from pancakes.mesh.codec import PacketRun, encode_link_message, frame, messages_from_payload, packets_of
@@ -61,7 +77,9 @@ ODD: Final[tuple[Any, ...]] = (
     *(None, True, b"", b"\xc1" * 40, "", [], {}, [[[[]]]]),
 )
 _TASK: Final = TaskId("a", "Count")
-_OFFER: Final = Epoch(3, "z")
+_Z: Final = Identity("z", "j")
+_EPOCH: Final = Epoch(3, _Z)
+_REGISTER: Final = Register(_EPOCH, 4, ((_Z,),), 0, Identity("a"))
 _ASKED: Final = Solicit(_TASK, 1, "test.Count", "1", "client")
 _BODIES: Final[Sequence[tuple[str, Any]]] = (
     *(
@@ -85,21 +103,23 @@ _BODIES: Final[Sequence[tuple[str, Any]]] = (
         for body in (
             _ASKED,
             Bid(_TASK, 1, 0.5, {"tasks": 1.0}),
-            Reserve(_TASK, _OFFER, _ASKED),
-            Reserved(_TASK, _OFFER),
-            Piece(_TASK, _OFFER, 0, 2, 100, b"\0" * 32, b"x" * 50),
-            Nak(_TASK, _OFFER, Refusal("unable", "no")),
-            Prepared(_TASK, _OFFER),
-            Commit(_TASK, _OFFER),
-            Activated(_TASK, _OFFER),
-            Abort(_TASK, _OFFER),
+            Refuse(_TASK, 1, Refusal("unable", "no")),
+            Accept(_TASK, "test.Count", "client", _REGISTER, 5, 2.0, state=b"x" * 50),
+            Piece(_TASK, (_EPOCH, 4), 0, 2, 100, b"\0" * 32, b"x" * 50),
+            Accepted(_TASK, _EPOCH, _Z, 5, 4),
+            Prepare(_TASK, "test.Count", _EPOCH, (_EPOCH, 4), ((_Z,),)),
+            Promise(_TASK, _EPOCH, _Z, _REGISTER, b"x" * 50),
+            WhoHas((_TASK,)),
+            Known(_Z, (_TASK,), (Fact(_TASK, _REGISTER),)),
+            BootRemembered("j", 3, "life"),
+            Call(_TASK, "test.Count", "client", _EPOCH, ((_Z,),)),
+            MayGuard(_TASK, "test.Count"),
+            CanGuard(_TASK, _Z, "", True, False, 1.0),
             Letter("a/Count", "z/1.1", 1, 1, b"\x91\x00", "z"),
             Receipt("a/Count", "z/1.1", 1, 1),
             ForwardTo("a/Count", "b", 1),
             AskBegan("a/Count", ("z/1.1",)),
             StreamsBegan("a/Count", 1, {"z/1.1": 0}),
-            WhereIs("a/Count"),
-            TaskAt("a/Count", "z", _OFFER),
         )
     ),
     (CTRL, Load(0.5)),
@@ -143,7 +163,7 @@ def pools(source: random.Random) -> tuple[list[bytes], list[bytes]]:
             channel,
             type_name(body),
             source.choice(["z/network/TaskMigrator", "z/client/T", "z", *NAMES[:5]]) or "z",
-            source.choice(["a", "a/network/TaskMigrator", "a/client", "a/kernel/Courier", ""]),
+            source.choice(["a", "a/network/TaskMigrator", "a/client", "a/kernel/Courier", "a/kernel/Registrar", ""]),
             0.0,
             source.randrange(1000),
             body,

@@ -13,7 +13,10 @@ from contextlib import suppress
 from pathlib import Path
 from urllib.parse import quote
 
-from pancakes.durable.record import Phase, TaskId
+import msgpack
+
+from pancakes.durable.record import TaskId
+from pancakes.durable.register import Standing
 from pancakes.durable.store import RECORD
 from pancakes.journal.file_journal import WRITE_AHEAD, read_ahead
 from pancakes.journal.journal import SUFFIX
@@ -46,13 +49,26 @@ class Gate:
         poll.register(self._handle, select.POLLIN)
         return bool(poll.poll(timeout_s * 1000.0))
 
-    def phase(self, task_id: TaskId) -> Phase | None:
-        """Return the phase in the record that is being written; None if it is not a record of that task."""
+    def standing(self, task_id: TaskId) -> Standing | None:
+        """Return where the agent stands by the record that is being written; None: it is none of that task.
+
+        What it has promised comes after the state, and is not in the pipe: so an owner that is about to promise the
+        task stands as one that offers it.
+        """
         written = os.read(self._handle, PIPE_BYTES)
         at = written.find(_text(RECORD) + _text(str(task_id)))
-        head = written[at : at + 512] if at >= 0 else b""
-        # The record is incomplete, as intended, but it begins with the fields that are needed.
-        return next((phase for phase in Phase if b"phase" + _text(phase.value) in head), None)
+        begin = written.find(_text("register"), at) if at >= 0 else -1
+        if begin < 0:
+            return None
+        # The record is incomplete, as intended, but the register begins with the fields that are needed.
+        head = msgpack.Unpacker(strict_map_key=False)
+        head.feed(written[begin + len(_text("register")) :])
+        head.read_array_header()
+        (_, owner, *_), _, _, _, heir = (head.unpack() for _ in range(5))
+        agent = self.path.parent.name
+        if owner[0] == agent:
+            return Standing.OFFERED if heir[0] else Standing.OWNER
+        return Standing.HEIR if heir[0] == agent else Standing.RELEASED
 
     def remove(self) -> None:
         """Remove the pipe; a process that blocks there fails to write, if it still lives."""

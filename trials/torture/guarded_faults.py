@@ -73,7 +73,9 @@ class GuardedFleet:
         self._rest = (
             f'{common}[device.motors]\ndriver = "torture.tracer"\nsettings = {{file = "{directory}/commands"}}\n'
         )
-        task = f'[task.One]\ntype = "torture.Sentry"\nguard = 3\nlease_s = {LEASE_S}\ncheckpoint_s = 0.5\n'
+        task = (
+            f'[task.One]\ntype = "torture.Sentry"\nguard = {{ copies = 3, lease_s = {LEASE_S}, checkpoint_s = 0.5 }}\n'
+        )
         task += f'durability = "each"\nsettings = {{directory = "{directory}"}}\n'
         tells = f'[task.Teller]\ntype = "torture.Teller"\nsettings = {{directory = "{directory}", to = ["a/One"]}}\n'
         rest = {**dict.fromkeys(NAMES, self._rest), "a": self._rest + task, TELLER: common + tells}

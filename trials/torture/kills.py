@@ -327,7 +327,8 @@ class Kills:
             return 0
         with path.open("rb") as file:
             file.seek(max(0, path.stat().st_size - 100))
-            return int(file.read().decode().splitlines()[-1].split()[0])
+            rows = file.read().decode().splitlines()
+        return int(rows[-1].split()[0]) if rows else 0
 
     def _size(self, task: str) -> int:
         path = self.counts / f"{task}.count"

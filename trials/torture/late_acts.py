@@ -110,7 +110,7 @@ if os.environ.get("PANCAKES_LATE_OWNER"):
 
     def noted_write(self, batch):
         # A task that failed in the turn in which its permit ended is restarted, which is not a new checkpoint.
-        numbers = [Record.decode(entry.data).no for entry in batch if entry.kind == "record"]
+        numbers = [Record.decode(entry.data).register.no for entry in batch if entry.kind == "record"]
         if any(no != newest[0] for no in numbers):
             newest[0] = numbers[-1]
             written(newest[0])
@@ -201,8 +201,8 @@ class LateActs:
         self._random = random.Random(f"late/{seed}")
         self._directory = directory
         directory.mkdir(mode=0o700, parents=True, exist_ok=True)
-        flood = f'[task.Flood]\ntype = "late.Flood"\nguard = 3\nlease_s = {LEASE_S}\ncheckpoint_s = 0.1\n'
-        flood += 'takeover = "ask"\n[device.motors]\ndriver = "late.recorder"\n'
+        guard = f'{{ copies = 3, lease_s = {LEASE_S}, checkpoint_s = 0.1, takeover = "ask" }}'
+        flood = f'[task.Flood]\ntype = "late.Flood"\nguard = {guard}\n[device.motors]\ndriver = "late.recorder"\n'
         log = '[service.log]\nsettings = {level = "warning"}\n'
         rest = {"a": flood + log, "b": f'[task.Ear]\ntype = "late.Ear"\n{log}', "c": log}
         listen = {name: f"local://{directory}/{name}" for name in NAMES}

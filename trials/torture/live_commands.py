@@ -120,7 +120,7 @@ def kills(count: int, at: str, first: int, fleets: int, over: str, json_file: Pa
 @netns_option
 @json_option
 def cuts(jobs: int, netns: bool | None, json_file: Path | None) -> None:
-    """Cut the link between two real agents at each step of a hand-off, and check which agent runs the task.
+    """Cut the link between two real agents at each step of a migration, and check which agent runs the task.
 
     The cut is made by a TCP proxy, which resets the connection, and by a wire between network namespaces, which is
     silent from then on. The exit code is 0 only if each cut ended as docs/protocol.md says.

@@ -213,7 +213,7 @@ class Asker(Telling):
         self.asked: dict[int, float] = {}
 
     @every(hz=20)
-    def ask(self, tick: Tick) -> None:
+    def ask_now(self, tick: Tick) -> None:
         """Ask for a description of the other agent's `Pulse`."""
         try:
             packet = self.publish("sysctrl", Describe("client/Pulse"), to=self.settings.to)

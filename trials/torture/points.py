@@ -1,4 +1,4 @@
-"""The named points between the effects of a hand-off at which a real agent can be killed, and how.
+"""The named points between the effects of a migration at which a real agent can be killed, and how.
 
 From outside, an agent that dies between a write and the next message looks like one whose message was lost; so a proxy
 that sees the message kills its sender and loses the message. Before a write, and before a task starts or resumes, a
@@ -9,9 +9,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from pancakes.durable.record import Phase
+from pancakes.durable.register import Standing
 
-_MIGRATION = "migration."
+_SOLICIT = "migration.solicit"
+_BID = "migration.bid"
+_ACCEPT = "task.accept"
+_PREPARE = "task.prepare"
+_PROMISE = "task.promise"
+_KNOWN = "task.known"
 _RECEIPT = "post.receipt"
 
 
@@ -25,7 +30,7 @@ class Point:
         how: `lost`: the word's sender dies, and it does not arrive. `sent`: its sender dies, and it arrives. `write`:
             its receiver dies before its next write. `written`: the same, after it. `start`, `resume`: its receiver
             dies before the task is started there, or goes on.
-        phase: the phase of the record that is about to be written.
+        standing: where the agent stands with the task by the record that is about to be written.
         lose: a type of packet that is lost until then, so that the agent reaches the point.
         then: a second point, which the agent reaches after its restart.
         lazy: whether to use a task that writes a checkpoint each second, instead of after each packet.
@@ -34,90 +39,72 @@ class Point:
     name: str
     word: str
     how: str
-    phase: Phase | None = None
+    standing: Standing | None = None
     lose: str = ""
     then: Point | None = None
     lazy: bool = True
 
 
-def _word(name: str) -> str:
-    return _MIGRATION + name
-
-
 POINTS = (
-    Point("source: before it sends SOLICIT", _word("solicit"), "lost"),
-    Point("source: after it sent SOLICIT", _word("solicit"), "sent"),
-    Point("source: before it sends RESERVE", _word("reserve"), "lost"),
-    Point("source: after it sent RESERVE", _word("reserve"), "sent"),
-    Point("source: task stopped, before it writes FROZEN", _word("reserved"), "write", Phase.FROZEN),
-    Point("source: FROZEN written, before it sends TRANSFER", _word("transfer"), "lost"),
-    Point("source: after it sent TRANSFER", _word("transfer"), "sent"),
-    Point("source: before it writes COMMITTED", _word("prepared"), "write", Phase.COMMITTED),
-    Point("source: COMMITTED written, before it sends COMMIT", _word("commit"), "lost"),
-    Point("source: after it sent COMMIT", _word("commit"), "sent"),
-    Point("source: before it writes RELEASED", _word("activated"), "write", Phase.RELEASED),
-    Point("source: RELEASED written", _word("activated"), "written", Phase.RELEASED),
-    Point("destination: before it sends BID", _word("bid"), "lost"),
-    Point("destination: after it sent BID", _word("bid"), "sent"),
-    Point("destination: before it sends RESERVED", _word("reserved"), "lost"),
-    Point("destination: after it sent RESERVED", _word("reserved"), "sent"),
-    Point("destination: before it writes PREPARED", _word("transfer"), "write", Phase.PREPARED),
-    Point("destination: PREPARED written, before it sends PREPARED", _word("prepared"), "lost"),
-    Point("destination: after it sent PREPARED", _word("prepared"), "sent"),
-    Point("destination: before it writes OWNER", _word("commit"), "write", Phase.OWNER),
-    Point("destination: OWNER written, before it starts the task", _word("commit"), "start"),
-    Point("destination: task started, before it sends ACTIVATED", _word("activated"), "lost"),
-    Point("destination: after it sent ACTIVATED", _word("activated"), "sent"),
-    Point("source takes back: before it writes OWNER", _word("prepared"), "write", Phase.OWNER, _word("prepared")),
+    Point("source: before it sends SOLICIT", _SOLICIT, "lost"),
+    Point("source: after it sent SOLICIT", _SOLICIT, "sent"),
+    Point("destination: before it sends BID", _BID, "lost"),
+    Point("destination: after it sent BID", _BID, "sent"),
+    Point("source: task paused, before it writes the offer", _BID, "write", Standing.OFFERED),
+    Point("source: offer written, before it sends ACCEPT", _ACCEPT, "lost"),
+    Point("source: after it sent ACCEPT", _ACCEPT, "sent"),
+    Point("destination: before it writes that it is the heir", _ACCEPT, "write", Standing.HEIR),
+    Point("destination: heir, before it sends PREPARE", _PREPARE, "lost"),
+    Point("destination: after it sent PREPARE", _PREPARE, "sent"),
+    Point("source: before it writes the promise", _PREPARE, "write", Standing.OFFERED),
+    Point("source: promise written, before it sends PROMISE", _PROMISE, "lost"),
+    Point("source: after it sent PROMISE", _PROMISE, "sent"),
+    Point("destination: before it writes that it is the owner", _PROMISE, "write", Standing.OWNER),
+    Point("destination: owner, before it starts the task", _PROMISE, "start"),
+    Point("destination: owner, before it says so", _KNOWN, "lost"),
+    Point("destination: after it said so", _KNOWN, "sent"),
+    Point("source: before it writes the tombstone", _KNOWN, "write", Standing.RELEASED),
+    Point("source: tombstone written", _KNOWN, "written", Standing.RELEASED),
+    Point("source takes back: before it writes that", _PREPARE, "write", Standing.OWNER, _PREPARE),
+    Point("source takes back: written, before the task goes on", _PREPARE, "resume", None, _PREPARE),
     Point(
-        "source takes back: OWNER written, before the task goes on",
-        _word("prepared"),
-        "resume",
-        None,
-        _word("prepared"),
-    ),
-    Point("source takes back: before it sends ABORT", _word("abort"), "lost", None, _word("prepared")),
-    Point("source takes back: after it sent ABORT", _word("abort"), "sent", None, _word("prepared")),
-    Point("destination gives up: before it writes ABSENT", _word("abort"), "write", Phase.ABSENT, _word("prepared")),
-    Point("destination gives up: ABSENT written", _word("abort"), "written", Phase.ABSENT, _word("prepared")),
-    Point(
-        "source: FROZEN written",
-        _word("transfer"),
+        "source: offer written",
+        _ACCEPT,
         "lost",
-        then=Point("source comes back FROZEN: before it writes OWNER", "", "write", Phase.OWNER),
+        then=Point("source comes back with an offer: before it takes it back", "", "write", Standing.OWNER),
     ),
     Point(
-        "source: FROZEN written, TRANSFER sent",
-        _word("transfer"),
+        "source: offer written, ACCEPT sent",
+        _ACCEPT,
         "sent",
-        then=Point("source comes back FROZEN: OWNER written, before it starts the task", "", "start"),
+        then=Point("source comes back with an offer: taken back, before it starts the task", "", "start"),
     ),
     Point(
-        "source: COMMITTED written",
-        _word("commit"),
+        "source: promise written",
+        _PROMISE,
         "lost",
-        then=Point("source comes back COMMITTED: before it sends COMMIT again", _word("commit"), "lost"),
+        then=Point("source comes back having promised: before it sends PROMISE again", _PROMISE, "lost"),
     ),
     Point(
-        "source: COMMITTED written, COMMIT sent",
-        _word("commit"),
+        "source: promise written, PROMISE sent",
+        _PROMISE,
         "sent",
-        then=Point("source comes back COMMITTED: after it sent COMMIT again", _word("commit"), "sent"),
+        then=Point("source comes back having promised: after it sent PROMISE again", _PROMISE, "sent"),
     ),
     Point(
-        "destination: PREPARED written",
-        _word("prepared"),
+        "destination: heir",
+        _PREPARE,
         "lost",
-        then=Point("destination comes back PREPARED: before it sends PREPARED again", _word("prepared"), "lost"),
+        then=Point("destination comes back as heir: before it sends PREPARE again", _PREPARE, "lost"),
     ),
     Point(
-        "destination: OWNER written",
-        _word("commit"),
+        "destination: owner",
+        _PROMISE,
         "start",
-        then=Point("destination comes back OWNER: before it starts the task", "", "start"),
+        then=Point("destination comes back as owner: before it starts the task", "", "start"),
     ),
-    Point("owner: before it writes a checkpoint", "", "write", Phase.OWNER),
-    Point("owner: checkpoint written", "", "written", Phase.OWNER),
+    Point("owner: before it writes a checkpoint", "", "write", Standing.OWNER),
+    Point("owner: checkpoint written", "", "written", Standing.OWNER),
     Point("owner: checkpoint written, before it acknowledges a packet", _RECEIPT, "lost", lazy=False),
     Point("owner: after it acknowledged a packet", _RECEIPT, "sent", lazy=False),
 )

@@ -26,7 +26,8 @@ from torture.story import Story
 from pancakes.agent.agent import Agent, Virtual
 from pancakes.control import Configure, Migrate, Reschedule, Restart, Start, Stop
 from pancakes.durable.client_service import ClientServiceCore
-from pancakes.durable.record import Phase, Record, Wanted
+from pancakes.durable.record import Record
+from pancakes.durable.register import Standing, Wanted
 from pancakes.durable.store import RECORD
 from pancakes.errors import PancakesError
 from pancakes.journal import JournalEntry
@@ -204,8 +205,8 @@ class Schedule:
     # The network -----------------------------------------------------------------------------------------------
 
     def _inject(self, name: str, inject: Callable[[Packet], object], packet: Packet) -> None:
-        """Lose a packet of the hand-off, deliver it twice, or deliver it late, behind later packets."""
-        if packet.channel != NETWORK or not packet.type.startswith("migration."):
+        """Lose a packet of the migration, deliver it twice, or deliver it late, behind later packets."""
+        if packet.channel != NETWORK or not packet.type.startswith(("migration.", "task.")):
             inject(packet)
             return
         self.outcome.counts["packet"] += 1
@@ -399,14 +400,14 @@ class Schedule:
         for name, agent in ((name, handle.agent) for name, handle in self.fleet.agents.items()):
             service = agent.kernel.registry.get(join(name, "client"))
             if isinstance(service, ClientServiceCore):
-                found += [(name, place.standing.record) for place in service.places.values()]
+                found += [(name, place.record) for place in service.places.values()]
         return found
 
     def _stopped(self) -> list[tuple[str, str]]:
         return [
             (name, record.task_id.name)
             for name, record in self._records()
-            if record.phase is Phase.OWNER and record.wanted is not Wanted.RUNNING
+            if record.standing is Standing.OWNER and record.wanted is not Wanted.RUNNING
         ]
 
     def _waits_for_wheels(self, name: str, task: str) -> bool:
@@ -415,12 +416,12 @@ class Schedule:
         return task in self._drivers and bool(others)
 
     def _settled(self) -> bool:
-        """Return whether each task has one owner and runs where it should, and no hand-off is under way."""
+        """Return whether each task has one owner and runs where it should, and no migration is under way."""
         owners: Counter[str] = Counter()
         for _, record in self._records():
-            if record.phase in (Phase.FROZEN, Phase.COMMITTED, Phase.PREPARED):
+            if record.standing in (Standing.OFFERED, Standing.YIELDED, Standing.HEIR):
                 return False
-            if record.phase is Phase.OWNER:
+            if record.standing is Standing.OWNER:
                 owners[record.task_id.name] += 1
                 if len(self.hosts(record.task_id.name)) != (record.wanted is Wanted.RUNNING):
                     return False
@@ -430,9 +431,9 @@ class Schedule:
 
     def _state(self) -> str:
         records = [
-            f"{record.task_id} on {name} {record.phase.value} {record.wanted.value} epoch {record.epoch}"
+            f"{record.task_id} on {name} {record.standing.value} {record.wanted.value} epoch {record.epoch}"
             for name, record in self._records()
-            if record.phase not in (Phase.ABSENT, Phase.RELEASED)
+            if record.standing not in (Standing.NONE, Standing.RELEASED)
         ]
         running = [f"{task} runs on {self.hosts(task)}" for task in BORN]
         broken = [

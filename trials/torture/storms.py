@@ -105,7 +105,11 @@ class Storm:
         )
         with self._fleet as fleet:
             lease_s, rate_hz = self._lease_s, ACTS / self._lease_s
-            guarded = {"type": Act, "guard": 3, "lease_s": lease_s, "checkpoint_s": lease_s / 6, "rate_hz": rate_hz}
+            guarded = {
+                "type": Act,
+                "guard": {"copies": 3, "lease_s": lease_s, "checkpoint_s": lease_s / 6},
+                "rate_hz": rate_hz,
+            }
             for name in self._names:
                 tasks = {"Act": guarded} if name == "a" else {}
                 fleet.start(name, tasks=tasks, clock_rate=self._rates[name])

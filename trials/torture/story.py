@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from pancakes.durable.record import Phase, Record, TaskId, Wanted
+from pancakes.durable.record import Record, TaskId
+from pancakes.durable.register import Standing, Wanted
 from pancakes.events import Event, LogLine
 from pancakes.packet import Packet, agent_of
 
@@ -39,20 +40,20 @@ class Story:
         """Print that a record is on an agent's disk; checkpoints are skipped."""
         if self._tell is None:
             return
-        news = (record.phase, record.epoch, record.offer, record.wanted, record.incarnation)
+        news = (record.standing, record.epoch, record.register.heir, record.register.promised, record.wanted)
         if self._known.get((agent, record.task_id)) != news:
             self._known[agent, record.task_id] = news
             self.say(f"on the disk of {agent}: {_standing(record)}")
 
     def heard(self, name: str, packet: Packet, how: str = "") -> None:
-        """Print that a packet of a hand-off has reached an agent."""
+        """Print that a packet of a migration has reached an agent."""
         if self._tell is None:
             return
         body = packet.body
-        what = packet.type.removeprefix("migration.").upper()
-        offer = f" {body.offer}" if hasattr(body, "offer") else ""
-        reason = f": {body.reason}" if hasattr(body, "reason") else ""
-        self.say(f"{name} hears{how} from {agent_of(packet.source)}: {what}{offer} for {body.task_id}{reason}")
+        what = packet.type.partition(".")[2].upper()
+        epoch = f" {body.epoch}" if hasattr(body, "epoch") else ""
+        tasks = getattr(body, "task_id", None) or ", ".join(map(str, getattr(body, "task_ids", ())))
+        self.say(f"{name} hears{how} from {agent_of(packet.source)}: {what}{epoch} for {tasks}")
 
     def logged(self, packet: Packet) -> None:
         """Print what an agent has published on `log`."""
@@ -66,20 +67,24 @@ class Story:
 
 def _standing(record: Record) -> str:
     task = str(record.task_id)
-    match record.phase:
-        case Phase.OWNER:
+    match record.standing:
+        case Standing.OWNER:
             wanted = "to run" if record.wanted is Wanted.RUNNING else f"to be {record.wanted.value}"
-            return f"{task} is its own under {record.epoch}, {wanted}, start {record.incarnation}"
-        case Phase.FROZEN:
-            return f"{task} stands still, and is offered to {record.peer} as {record.offer}"
-        case Phase.COMMITTED:
-            return f"{task} is given to {record.peer} as {record.offer}, for good"
-        case Phase.PREPARED:
-            return f"{task} of {record.peer} rests there, offered as {record.offer}"
-        case Phase.RELEASED:
+            return f"{task} is its own under {record.epoch}, {wanted}"
+        case Standing.OFFERED:
+            return f"{task} is paused, and is offered to {record.peer}"
+        case Standing.YIELDED:
+            return f"{task} is promised to {record.peer} as {record.seen}, for good"
+        case Standing.HEIR:
+            return f"{task} of {record.peer} rests there, and is asked for"
+        case Standing.RELEASED:
             return f"{task} has moved to {record.peer}, which has said so"
-        case Phase.ABSENT:
-            return f"{task} is not there after all; {record.peer} took its offer back"
+        case Standing.DISPUTED:
+            return f"{task} is paused, as another agent owns it too"
+        case Standing.MEMBER:
+            return f"{task} of {record.peer} is guarded there"
+        case Standing.NONE:
+            return f"{task} was never there"
 
 
 def _words_of(event: Event) -> str:

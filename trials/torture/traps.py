@@ -64,6 +64,7 @@ class Trap:
         self._lock = threading.Lock()
         self._set = threading.Event()  # the victim is known, and dead or about to come to the gate
         self._dead = ""
+        self._gave = ""  # the agent that has promised the task last
         self._gate: Gate | None = None
         self._record: RecordWatch | None = None
         self._laid_s = 0.0
@@ -101,6 +102,8 @@ class Trap:
             if not self._concerns(row):
                 return Verdict.PASS
             kind, point = row[1], self.point
+            if kind == "task.promise":
+                self._gave = sender
             lost = Verdict.LOSE if kind == point.lose else Verdict.PASS
             if kind != point.word or self._set.is_set():
                 return lost
@@ -111,7 +114,8 @@ class Trap:
                 self._field.kill(sender)
                 self._set.set()
                 return Verdict.END if point.how == "lost" else Verdict.PASS
-            self._lay(receiver)
+            if "facts" not in row[7] or receiver == self._gave:  # the new owner tells all agents
+                self._lay(receiver)
             return lost
 
     def spring(self, timeout_s: float) -> str:
@@ -158,7 +162,7 @@ class Trap:
         gate = self._gate
         assert isinstance(gate, WriteGate)
         if gate.reached(min(for_s, GATE_S)):
-            if gate.phase(self._field.task_id) is self.point.phase:
+            if gate.standing(self._field.task_id) is self.point.standing:
                 return True
         elif gate.lies:
             return False
@@ -167,9 +171,13 @@ class Trap:
         return False
 
     def _concerns(self, row: list[Any]) -> bool:
-        body = row[7]
-        told = body.get("task_id") if isinstance(body, dict) else None
-        return told in (list(self._field.task_id), str(self._field.task_id))
+        body, sender = row[7], agent_of(row[2])
+        if not isinstance(body, dict):
+            return False
+        # Of what an agent knows, only that it owns the task.
+        owned = [it["task_id"] for it in body.get("facts", ()) if it["register"][0][1][0] == sender]
+        about = (list(self._field.task_id), str(self._field.task_id))
+        return any(it in about for it in (*owned, body.get("task_id")))
 
     def _lay(self, victim: str) -> None:
         """Put a gate in an agent's way, or look at its present files."""

@@ -9,6 +9,7 @@ import click
 from pancakes.tools.cli.exit_codes import Guarded
 from pancakes.tools.cli.help_sections import HELP_OPTIONS
 from pancakes.tools.cli.version import version_option
+from pancakes.util.docstring import docstring_of
 
 LOWEST_READY_FD: Final = 3
 """The descriptors below it are the standard streams."""
@@ -73,6 +74,21 @@ def agent(
     if traceback:
         sets = (*sets, SHOW_TRACEBACKS)
     run(path, sets, check, parent_pid, ready_fd)
+
+
+def run_verb() -> click.Command:
+    """Return the same program as a verb, `pancakes agent run FILE`."""
+    own: list[click.Parameter] = [it for it in agent.params if it.name not in ("path", "version", "help")]
+    example = "pancakes agent run configs/single.toml --set clock.speed=5"
+    assert agent.callback is not None
+    return Guarded(
+        "run",
+        callback=agent.callback,
+        params=[click.Argument(["path"], metavar="FILE", type=click.Path()), *own],
+        help=docstring_of(agent.callback).replace(
+            "pancakes-agent --config configs/single.toml --set clock.speed=5", example
+        ),
+    )
 
 
 if __name__ == "__main__":

@@ -1,12 +1,11 @@
 """Send requests to agents, and ask the user before data is lost: shared by all verbs that talk to agents.
 
-One rule for all verbs: a command that loses data asks first on a terminal, and needs `--force` elsewhere.
+One rule for all verbs: a command that loses data asks first on a terminal, and needs `--yes` elsewhere.
 """
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -134,13 +133,16 @@ def resolve_service(client: Client, name: TaskName) -> TaskName:
 
 
 def _agent_of(client: Client, task_id: str, task: str) -> str:
-    """Return the agent that has a task, given its identity and name; empty if no agent that answers has it."""
+    """Return the agent that has a task: that with this identity, or else the only one of this name; empty: none."""
+    found = []
     for row in client.tasks():
         if row.task == task:
             reply = client.request(row.agent, Describe(f"{row.service}/{row.task}"))
-            if reply.ok and reply.result["fence"] and reply.result["fence"]["task_id"] == task_id:
-                return row.agent
-    return ""
+            if reply.ok and reply.result["fence"]:
+                if reply.result["fence"]["task_id"] == task_id:
+                    return row.agent
+                found.append(row.agent)
+    return found[0] if len(found) == 1 else ""
 
 
 def show_done(ask: Ask, client: Client, name: TaskName | ServiceName, done: str, body: Any, **others: Any) -> None:
@@ -160,16 +162,18 @@ def show_done(ask: Ask, client: Client, name: TaskName | ServiceName, done: str,
     ask.printer.table([row], tuple(row))
 
 
-force_option = click.option("--force", is_flag=True, help="Do not ask first. Required if this is not a terminal.")
-"""The option `--force` of verbs that lose data; its parameter is `force`."""
+yes_option = click.option(
+    "-y", "--yes", "force", is_flag=True, help="Do not ask first. Required if this is not a terminal."
+)
+"""The option `--yes` of verbs that lose data; its parameter is `force`."""
 
 
 def confirm(meaning: str, force: bool, dry_run: bool = False) -> None:
-    """Return only if the user confirms: with `--force`, or by answering the question on the terminal.
+    """Return only if the user confirms: with `--yes`, or by answering the question on the terminal.
 
     Args:
         meaning: what is lost, as a sentence without its full stop.
-        force: whether `--force` was given.
+        force: whether `--yes` was given.
         dry_run: whether this is a dry run, which needs no confirmation.
 
     Raises:
@@ -178,32 +182,6 @@ def confirm(meaning: str, force: bool, dry_run: bool = False) -> None:
     if force or dry_run:
         return
     if not (sys.stdin.isatty() and sys.stderr.isatty()):
-        raise ControlRefusedError(f"{meaning}. Pass --force to do it, or --dry-run to check it first. Nothing was done")
+        raise ControlRefusedError(f"{meaning}. Pass --yes to do it, or --dry-run to check it first. Nothing was done")
     if not click.confirm(f"{meaning}. Do it?", err=True):
         raise ControlRefusedError("nothing was done")
-
-
-def request_confirmed(
-    client: Client, agent: str, body: Callable[[bool, bool], Any], force: bool, dry_run: bool
-) -> Reply:
-    """Request what the agent refuses without force, and ask the user with the text of that refusal.
-
-    Args:
-        client: sends the requests.
-        agent: the agent.
-        body: makes the control packet's body, given whether it is forced and whether it is a dry run.
-        force: whether `--force` was given.
-        dry_run: whether `--dry-run` was given.
-
-    Raises:
-        ControlRefusedError: the agent refuses even with force, or the user declines.
-        UnreachableError: the agent does not answer.
-    """
-    if force or dry_run or not (sys.stdin.isatty() and sys.stderr.isatty()):
-        return request(client, agent, body(force, dry_run))
-    request(client, agent, body(True, True))
-    unforced = client.request(agent, body(False, False))
-    if unforced.ok:
-        return unforced
-    confirm(unforced.reason.removesuffix(". Nothing was done"), force)
-    return request(client, agent, body(True, False))

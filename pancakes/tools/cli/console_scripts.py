@@ -15,5 +15,7 @@ def pancakes() -> None:
 def agent() -> None:
     """The console script `pancakes-agent`."""
     from pancakes.tools.cli.agent_command import agent
+    from pancakes.tools.cli.standard_files import fill_standard_files
 
+    fill_standard_files()
     agent()

@@ -27,6 +27,8 @@ USAGE: Final = 2
 UNREACHABLE: Final = 3
 """No agent answered."""
 BAD_CONFIGURATION: Final = 4
+INTERRUPTED: Final = 130
+"""A command with an end of its own was ended by Ctrl-C before that."""
 UNREAD: Final = 141
 """The reader of the output ended early. Shells give the same exit code to tools that SIGPIPE ends."""
 
@@ -80,7 +82,17 @@ def end_unread() -> NoReturn:
 
 def forget_output() -> None:
     """Discard the output that Python still buffers: flushing it at exit would report an error."""
-    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+    nothing = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nothing, 1)
+    if sys.stdout is not None and not sys.stdout.closed and (used := _file_of(sys.stdout)) not in (None, 1):
+        os.dup2(nothing, used)
+
+
+def _file_of(stream: Any) -> int | None:
+    try:
+        return int(stream.fileno())
+    except (OSError, ValueError):
+        return None
 
 
 @contextmanager

@@ -38,8 +38,9 @@ def main() -> None:
     child = serve(channel)
     if child is not None:
         message, files = child
-        sys.argv[1:] = _take_place(msgpack.unpackb(message), files)
-        setproctitle(" ".join((sys.executable, "-m", agent_command.__name__, *sys.argv[1:])))
+        sys.argv[1:] = _take_place(msgpack.unpackb(message, unicode_errors="surrogateescape"), files)
+        title = " ".join((sys.executable, "-m", agent_command.__name__, *sys.argv[1:]))
+        setproctitle(os.fsencode(title).decode(errors="replace"))
         agent_command.agent(prog_name="pancakes-agent")
 
 

@@ -7,16 +7,17 @@ their `after`.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 from pancakes.client import Client, Target
 from pancakes.control import Shutdown
-from pancakes.errors import NoAnswerError, PancakesError, UnreachableError
+from pancakes.errors import PancakesError, UnreachableError
 from pancakes.tools.cli.exit_codes import OK, REFUSED, UNREACHABLE
 from pancakes.tools.cli.output import DRY_RUN, show_text
+from pancakes.util.clock import MonotonicClock
 from pancakes.util.runtime_dir import RunningAgent, entries
 
 if TYPE_CHECKING:
@@ -24,6 +25,15 @@ if TYPE_CHECKING:
 
     from pancakes.tools.launch.fleet_file import Member
     from pancakes.tools.launch.remote_hosts import Host
+
+
+ENDING_S: Final = 1.0
+"""How long an agent that does not answer may take to end, if something else has told it to, in seconds."""
+
+HOST: Final = MonotonicClock()
+"""Processes are timed in host time."""
+_LOOK_S: Final = 0.05
+"""How often a process is looked at until it has ended, in seconds."""
 
 
 @dataclass
@@ -62,9 +72,13 @@ class GracefulStop:
         self.dry_run = dry_run
         self.rows: list[dict[str, Any]] = []
         self.code = OK
+        self._refused = False
 
     def end_all(self, here: Mapping[tuple[str, str], RunningAgent], fleet: str) -> None:
         """End the agents of this machine, or only those of one fleet. Agents on other machines keep running."""
+        from pancakes.tools.launch.detached import launchers_of
+
+        launchers = launchers_of([entry.pid for entry in here.values()], here_only=True)
         reached = list(here.values())
         names = [entry.name for entry in reached]
         if len(set(names)) < len(names):
@@ -73,6 +87,7 @@ class GracefulStop:
                 self.end_named(Target(entry.listen[:1], entry.fleet), [entry.name], here)
         elif names:
             self.end_named(Target(fleet=fleet), names, here)
+        self._end_launchers(launchers)
 
     def end_named(self, at: Target, names: Sequence[str], here: Mapping[tuple[str, str], RunningAgent]) -> None:
         """End agents that are found at some addresses; without addresses, on this machine."""
@@ -90,35 +105,45 @@ class GracefulStop:
             self._end_group(client, [it for it in targets if it not in worlds], [_target_of(entry) for entry in silent])
             self._end_group(client, worlds)
 
-    def end_fleet(self, file: Path, names: Sequence[str]) -> None:
-        """End the agents of a fleet file that run, or only those that are named.
+    def end_fleet(self, files: Sequence[Path], names: Sequence[str]) -> None:
+        """End the agents of a fleet's files that run, or only those that are named.
 
         Raises:
-            PancakesError: the file is invalid, it lacks a named agent, or a host cannot be reached.
+            PancakesError: a file is invalid, or they lack a named agent.
         """
+        from pancakes.tools.launch.detached import launchers_of, process_of
         from pancakes.tools.launch.fleet_file import make_fleet
         from pancakes.tools.launch.remote_hosts import open_hosts, tunnels
 
-        members = make_fleet([file], (), None, None)
+        members = make_fleet(files, (), None, None)
         if unknown := [name for name in names if all(member.name != name for member in members)]:
             known = ", ".join(member.name for member in members)
-            raise PancakesError(f"{file} has no agent {unknown[0]!r}. It has {known}")
+            raise PancakesError(f"{' '.join(map(str, files))} has no agent {unknown[0]!r}. It has {known}")
         wanted = [member for member in members if not names or member.name in names]
         here = {(entry.fleet, entry.name): entry for entry in entries()}
-        with open_hosts(wanted) as hosts, tunnels(hosts.values()) as tunnel_of, ExitStack() as stack:
+        launchers: list[int] = []
+
+        def unreached(problem: str) -> None:
+            self._fail(problem, UNREACHABLE)  # the agents on other hosts end nevertheless
+
+        with open_hosts(wanted, unreached) as hosts, tunnels(hosts.values()) as tunnel_of, ExitStack() as stack:
             targets: dict[str, _Stopped] = {}
             addresses: dict[str, list[str]] = {}
             for member in wanted:
                 fleet, role = member.config.agent.fleet, member.config.agent.role
                 entry = None if member.host else here.get((fleet, member.name))
-                if member.host and hosts[member.host].runs(member):
+                if member.host in hosts and hosts[member.host].runs(member):
                     targets[member.name] = _Stopped(member.name, fleet, role, None, hosts[member.host])
                     addresses.setdefault(fleet, []).append(tunnel_of[member.name])
                 elif entry is not None:
                     targets[member.name] = _target_of(entry)
                     addresses.setdefault(fleet, []).extend(entry.listen[:1])
-            if not targets:
-                show_text(f"no agent of {file} runs", err=True)
+            if not targets and self.code == OK:
+                show_text(f"no agent of {' '.join(map(str, files))} runs", err=True)
+            if not names:
+                # Before the agents end: then their parents are known.
+                running = [it.process.pid for it in targets.values() if it.process is not None]
+                launchers = launchers_of(running, here_only=not any(member.host for member in wanted))
             clients = {
                 fleet: stack.enter_context(Client(Target(tuple(at), fleet), self.timeout_s))
                 for fleet, at in addresses.items()
@@ -130,6 +155,28 @@ class GracefulStop:
                     names_described = {it["agent"] for it in described}
                     answering = [it for it in group if it.name in names_described]
                     self._end_group(client, answering, [it for it in group if it.name not in names_described])
+
+        if not names and (pid := process_of(files)) is not None:
+            launchers.append(pid)
+        self._end_launchers(launchers)
+
+    def _end_launchers(self, pids: Sequence[int]) -> None:
+        """End the processes that run the agents which have ended: with the policy always, they restart them."""
+        import psutil
+
+        if self.dry_run or self._refused:
+            return
+        for pid in dict.fromkeys(pids):
+            process = _process(pid)
+            if process is None:
+                continue
+            # It ends by itself, with the code of its agents, unless it restarts them.
+            if _ends_within(process, ENDING_S):
+                continue
+            with suppress(psutil.NoSuchProcess):
+                process.terminate()
+            if not _ends_within(process, self.timeout_s):
+                self._fail(f"pancakes up (process {pid}) has not ended within {self.timeout_s:g} s", UNREACHABLE)
 
     def _end_group(self, client: Client, answering: Sequence[_Stopped], silent: Sequence[_Stopped] = ()) -> None:
         """End agents at the same time, and wait until they are gone. Silent ones are ended by a signal."""
@@ -154,7 +201,10 @@ class GracefulStop:
         """Ask an agent to end; return whether it will end."""
         try:
             reply = client.request(target.name, Shutdown(self.dry_run))
-        except NoAnswerError as error:
+        except UnreachableError as error:
+            # Its launcher may be about to end it, because others of its fleet have ended.
+            if target.process is not None and client.wait(lambda: _is_gone(client, target), ENDING_S):
+                return True
             self._fail(str(error), UNREACHABLE)
             return False
         if not reply.ok:
@@ -210,6 +260,7 @@ class GracefulStop:
     def _fail(self, sentence: str, code: int) -> None:
         show_text(sentence, err=True)
         self.code = max(self.code, code)
+        self._refused = self._refused or code == REFUSED
 
 
 def waves(members: Sequence[Member]) -> Iterator[list[Member]]:
@@ -265,11 +316,29 @@ def _process(pid: int) -> psutil.Process | None:
 
 
 def _is_gone(client: Client, target: _Stopped) -> bool:
-    import psutil
-
     if target.process is None:
         return not client.is_connected(target.name, target.fleet)
+    return _has_ended(target.process)
+
+
+def _ends_within(process: psutil.Process, timeout_s: float) -> bool:
+    """Wait for the end of a process; return whether it has ended."""
+    import psutil
+
+    until_s = HOST.now() + timeout_s
+    while not _has_ended(process):
+        if HOST.now() > until_s:
+            return False
+        with suppress(psutil.NoSuchProcess, psutil.TimeoutExpired):
+            process.wait(_LOOK_S)
+    return True
+
+
+def _has_ended(process: psutil.Process) -> bool:
+    """Return whether a process has ended, also if its parent has not asked for its exit code."""
+    import psutil
+
     try:
-        return not target.process.is_running() or target.process.status() == psutil.STATUS_ZOMBIE
+        return not process.is_running() or process.status() == psutil.STATUS_ZOMBIE
     except psutil.NoSuchProcess:
         return True

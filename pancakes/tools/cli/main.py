@@ -20,6 +20,7 @@ from click.shell_completion import CompletionItem
 
 from pancakes.tools.cli.exit_codes import Guarded, with_help
 from pancakes.tools.cli.help_sections import HELP_OPTIONS, write_sections
+from pancakes.tools.cli.standard_files import fill_standard_files
 from pancakes.tools.cli.version import PROGRAM, VARIABLE, version_option
 from pancakes.util.text import suggestion
 
@@ -120,12 +121,14 @@ def _installed(name: str) -> click.Command:
 
 SECTIONS: Final = {
     "Look and control": {
-        "agent": "List and show running agents.",
+        "agent": "Run, list and show agents.",
         "task": "Show, control and migrate tasks.",
         "service": "Show and control services.",
         "channel": "Show channels, and the packets on them.",
         "param": "Read and change the settings of tasks.",
         "log": "Show the log and the events of agents.",
+        "halt": "Bring all actuators to a stop, until you end that.",
+        "drive": "Drive a robot by hand, from keys or a gamepad.",
         "top": "Watch agents and tasks: rates, lateness, load.",
         "view": "Show a fleet live on a web page.",
         "doctor": "Look for faults on this machine and in its agents.",
@@ -133,10 +136,10 @@ SECTIONS: Final = {
     },
     "Run fleets": {
         "demo": "Run a whole mission, and judge it.",
-        "launch": "Run a fleet from its files.",
-        "down": "Stop agents gracefully.",
+        "up": "Run a fleet from its files.",
+        "down": "Stop a fleet, or single agents, gracefully.",
         "deploy": "Install a fleet on its hosts, and keep it running there.",
-        "fleet": "Manage the members of a fleet and their rights.",
+        "keys": "Manage the keys of a fleet's members, and their rights.",
     },
     "Recordings": {
         "record": "Record agents, and show recordings.",
@@ -169,7 +172,7 @@ def pancakes() -> None:
     """Control robots and sensor nodes that work as one.
 
     pancakes finds the agents of this machine by itself. To reach others, pass --at HOST:PORT of any one of them: it
-    knows the rest of its fleet. To run an agent, use pancakes-agent.
+    knows the rest of its fleet.
 
     Exit codes: 0 ok, 1 refused, 2 usage, 3 unreachable, 4 bad configuration; 130 interrupted, 141 if the
     reader of the output ends early (| head).
@@ -178,6 +181,7 @@ def pancakes() -> None:
 
 def main() -> None:
     """The console script."""
+    fill_standard_files()
     for name in ("stdout", "stderr"):
         if getattr(sys, name) is None:  # closed by the shell (>&-)
             setattr(sys, name, open(os.devnull, "w"))  # noqa: SIM115 - stays open until the process ends

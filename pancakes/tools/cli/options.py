@@ -168,41 +168,62 @@ _F = TypeVar("_F", bound=Callable[..., Any])
 
 
 class AgentAddress(click.ParamType):
-    """`HOST:PORT` or `tcp://HOST:PORT`."""
+    """`HOST`, `HOST:PORT` or `tcp://HOST:PORT`, without a port 7401; `mdns:` means all that announce themselves."""
 
     name = "address"
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
-        from pancakes.mesh.address import dialled
+        from pancakes.mesh.address import MDNS, dialled
 
         try:
-            return dialled(str(value))
+            return MDNS if value == MDNS else dialled(str(value))
         except ValueError as error:
             self.fail(str(error), param, ctx)
+
+
+NO_FILE: Final = "'' names nothing: is a variable of the shell empty? The folder here is ."
+
+
+class FileOrFolder(click.Path):
+    """A path, of a file or a folder. An empty one, as of an unset variable of a shell, is not the working directory."""
+
+    def __init__(self) -> None:
+        from pathlib import Path
+
+        super().__init__(path_type=Path)
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        if not str(value):
+            self.fail(NO_FILE, param, ctx)
+        return super().convert(value, param, ctx)
 
 
 class Duration(click.ParamType):
     """A time such as `30s`, `500ms`, `2min` or `1h`, converted to seconds; a plain number means seconds.
 
     Args:
-        least_s: the shortest time; 0 itself is always refused.
+        least_s: the shortest time.
         most_s: the longest time.
+        zero: whether 0 is allowed: as a moment it is one, as a duration it rarely makes sense.
     """
 
     name = "duration"
 
     _UNITS_S: ClassVar = {"": 1.0, "ms": 1e-3, "s": 1.0, "min": 60.0, "h": 3600.0}
 
-    def __init__(self, least_s: float = 0.0, most_s: float = math.inf) -> None:
+    def __init__(self, least_s: float = 0.0, most_s: float = math.inf, *, zero: bool = False) -> None:
         self._least_s = least_s
         self._most_s = most_s
+        self._zero = zero
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
         if isinstance(value, float):
             return value
         found = re.fullmatch(r"([0-9]+\.?[0-9]*|\.[0-9]+)\s*(|ms|s|min|h)", str(value).strip())
-        if found is None or float(found[1]) == 0.0:
+        if found is None:
             self.fail(f"{value!r} is not a time: write it as 30s, 500ms, 2min or 1h", param, ctx)
+        if float(found[1]) == 0.0 and not self._zero:
+            self.fail(f"{value!r} is too short: the time must be more than 0s", param, ctx)
         duration_s = float(found[1]) * self._UNITS_S[found[2]]
         if duration_s < self._least_s:
             self.fail(f"{value!r} is less than {self._least_s:g}s", param, ctx)
@@ -272,22 +293,24 @@ class Ask:
         return Client(self.where, self.timeout_s, partial(show_text, err=True))
 
 
-def asks_agents_for(timeout_s: float) -> Callable[[_F], _F]:
+def asks_agents_for(timeout_s: float, *, formats: bool = True) -> Callable[[_F], _F]:
     """Give a verb the options `--at`, `--fleet`, `--timeout` and `--format`.
 
     Its parameter is `ask`.
 
     Args:
         timeout_s: the default of `--timeout`.
+        formats: whether it has `--format`.
     """
     options = (
-        format_option,
+        *((format_option,) if formats else ()),
         click.option(
             "--at",
-            metavar="HOST:PORT",
+            metavar="HOST[:PORT]",
             type=AgentAddress(),
             multiple=True,
-            help="Ask the agent at this address and its fleet, not the agents of this machine. Repeatable.",
+            help="Ask the agent at this address and its fleet, not the agents of this machine; mdns: asks those that"
+            " announce themselves on its networks. Repeatable.",
         ),
         click.option("--fleet", metavar="NAME", default="", help="Only agents of this fleet."),
         click.option(
@@ -302,10 +325,13 @@ def asks_agents_for(timeout_s: float) -> Callable[[_F], _F]:
 
     def decorate(function: _F) -> _F:
         @wraps(function)
-        def asking(at: tuple[str, ...], fleet: str, timeout: float, printer: Printer, **others: Any) -> Any:
+        def asking(
+            at: tuple[str, ...], fleet: str, timeout: float, printer: Printer | None = None, **others: Any
+        ) -> Any:
             from pancakes.client import Target
 
-            return function(ask=Ask(Target(at, fleet_of_command(fleet)), timeout, printer), **others)
+            ask = Ask(Target(at, fleet_of_command(fleet)), timeout, printer or Printer("table"))
+            return function(ask=ask, **others)
 
         decorated: Any = asking
         for option in reversed(options):

@@ -8,6 +8,7 @@ from __future__ import annotations
 import grp
 import os
 from collections.abc import Iterator
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -90,6 +91,9 @@ def machine_doubts(config: Config, plugins: Plugins) -> list[Fault]:
 
     found = doubts_of(config)
     found += [config.places.fault(key, f"{NOT_HERE}: {why}") for key, why in start_doubts(config)]
+    if config.agent.mdns and find_spec("zeroconf") is None:
+        text = "no agent is announced or found by mDNS without zeroconf: pip install 'pancakes-agents[mdns]'"
+        found.append(config.places.fault(("agent", "mdns"), text))
     try:
         keys_for(config, network_settings(config), plugins)
     except ConfigError as error:

@@ -102,14 +102,15 @@ def facts_of(config: Config, plugins: Plugins, user: str = "") -> UnitFacts:
     program = Path(sys.executable).parent / "pancakes-agent"
     command = (str(program),) if program.exists() else (sys.executable, "-m", "pancakes.tools.cli.agent_command")
     path = os.path.abspath(config.path)
+    sources = [os.path.dirname(os.path.abspath(file)) for file in config.places.files]  # also those that it extends
     return UnitFacts(
         agent.name,
         agent.fleet,
         (*command, "--config", path),
-        networked=bool(keyed_addresses(agent, plugins)),
+        networked=agent.mdns or bool(keyed_addresses(agent, plugins)),
         group=agent.local_group,
         writes=tuple(sorted(folder for it in folders if os.path.isabs(folder := at_home(it, user)))),
-        reads=(sys.prefix, sys.base_prefix, str(Path(__file__).parent), os.path.dirname(path)),
+        reads=(sys.prefix, sys.base_prefix, str(Path(__file__).parent), *sources),
         hardware=tuple(_hardware(config, plugins)),
     )
 

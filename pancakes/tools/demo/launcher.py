@@ -22,7 +22,8 @@ from msgspec.structs import replace
 
 from pancakes.agent.agent import Agent
 from pancakes.config import Config, load, parse
-from pancakes.errors import PancakesError
+from pancakes.config.toml_reader import read_values, text_of
+from pancakes.errors import ConfigError, PancakesError
 from pancakes.kernel.mailbox import tell
 from pancakes.mesh.memory_network import Quality
 from pancakes.recording.virtual_recorder import VirtualRecorder
@@ -37,7 +38,6 @@ from pancakes.tools.launch.temporary_keys import keys_of_run, set_keys
 from pancakes.util.clock import MonotonicClock
 from pancakes.util.cpu import processor_count, processor_times
 from pancakes.util.plugins import Plugins
-from pancakes.util.toml import toml_values
 
 LAUNCHER = "launcher"
 
@@ -155,8 +155,8 @@ def make_plan(
 def _claim_ports(files: Mapping[str, Path], fleet: str, local: bool) -> tuple[Claim | None, Mapping[str, list[str]]]:
     """Return the claim on the ports of a live demo, and the settings for other ports, by agent."""
     try:
-        tables = {agent: toml_values(path.read_text(encoding="utf-8")) for agent, path in files.items()}
-    except (OSError, ValueError):
+        tables = {agent: read_values(text_of(str(path)), str(path)).values for agent, path in files.items()}
+    except ConfigError:
         return None, {}  # `load` reports the fault with a better message
     if not local:
         return claim_ports(tables)

@@ -54,7 +54,7 @@ def check_keys(members: Sequence[Member], needed: Mapping[str, Need]) -> None:
     """
     problems = [
         f"{it.name} needs keys of the fleet {it.config.agent.fleet}, and {it.host} has none: use pancakes deploy"
-        f" --enrol here, or pancakes fleet join on {it.host}"
+        f" --enrol here, or pancakes keys join on {it.host}"
         for it in members
         if needed[it.name] == "needs"
     ]

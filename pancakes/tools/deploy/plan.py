@@ -20,8 +20,7 @@ from typing import Final
 
 from pancakes.agent.transport_settings import keyed_addresses
 from pancakes.config import Config
-from pancakes.config.toml_reader import apply_set, tables_of, text_of
-from pancakes.config.toml_writer import document_text
+from pancakes.config.toml_reader import self_contained
 from pancakes.errors import PancakesError
 from pancakes.tools.deploy.wheels import (
     CORE,
@@ -104,7 +103,9 @@ def needed_extras(config: Config, has_keys: bool, plugins: Plugins) -> list[str]
     keyed = bool(keyed_addresses(config.agent, plugins)) and not settings.get("insecure")
     needed = {
         "keys": has_keys or named or keyed,  # an agent with keys but without this extra ignores revocations
+        "mdns": config.agent.mdns,
         "metrics": any(service.type == "metrics" for service in config.services.values()),
+        "otel": any(service.type == "traces" for service in config.services.values()),
         "record": config.record is not None,
     }
     return [extra for extra, is_needed in needed.items() if is_needed]
@@ -224,17 +225,12 @@ def _changed(hosted: HostedAgent, supply: Supply, digest: str) -> Iterator[str]:
 
 
 def effective_config(path: Path, sets: tuple[str, ...]) -> str:
-    """Return an agent's file as TOML, with the changes of the fleet file and the command line.
+    """Return an agent's file as TOML, with what it extends, and the changes of fleet file and command line.
 
     Raises:
         ConfigError: the file cannot be read.
     """
-    tables, places = tables_of(text_of(str(path)), str(path))
-    if not sets:
-        return text_of(str(path))
-    for change in sets:
-        apply_set(change, tables, places)
-    return document_text(tables)
+    return self_contained(str(path), sets)
 
 
 PROGRAM: Final = """
@@ -377,7 +373,7 @@ def _check_running(members: Sequence[Member], hosts: Mapping[str, Host]) -> None
         host = hosts[member.host]
         pid, service = host.runs(member), host.agent(member.name)["service"]
         if pid and (service is None or pid != service["pid"]):
-            advice = "stop it first, with pancakes down --fleet-file or its launcher"
+            advice = "stop it first, with pancakes down FILE or its launcher"
             problems.append(
                 f"{member.name} already runs on {host.name} (process {pid}), not from a deployment: {advice}"
             )

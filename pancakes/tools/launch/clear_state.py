@@ -53,10 +53,12 @@ def check_alone(configs: Iterable[Config]) -> None:
         )
 
 
-def remembers(config: Config) -> bool:
-    """Return whether the state directory of an agent contains anything."""
+def saved_state(config: Config) -> Path | None:
+    """Return the state directory of an agent; None if it contains nothing, or the agent has none."""
     directory = state_dir_of(config)
-    return directory is not None and directory.is_dir() and any(directory.iterdir())
+    if directory is None or not directory.is_dir() or not any(directory.iterdir()):
+        return None
+    return directory.absolute()
 
 
 def empty_state(config: Config) -> Path | None:

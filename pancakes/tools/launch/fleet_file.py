@@ -7,11 +7,13 @@ the name of a member and no program has its port. Nothing is started here.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from itertools import product
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal, TypeVar
+from typing import Annotated, Any, Final, TypeVar
 
 from msgspec import Meta
 
@@ -19,12 +21,14 @@ from pancakes.config import Address, Config, load, parse_address
 from pancakes.config.key_lines import KeyPath, KeyPlaces, set_text
 from pancakes.config.schema import closed, named_tables, schema_document
 from pancakes.config.state_dir import state_dir_of
-from pancakes.config.toml_reader import apply_set, fault_of_schema, read_tables, tables_of, text_of
+from pancakes.config.toml_reader import Tables, fault_of_schema, read_layers, read_values, text_of
 from pancakes.config.toml_writer import key_text, leaves, value_text
+from pancakes.config.variables import TABLE as VARIABLES
+from pancakes.config.variables import replace_variables
 from pancakes.errors import ConfigError, Fault, PancakesError
 from pancakes.mesh.address import DEFAULT_FLEET
 from pancakes.settings import check_settings
-from pancakes.supervision.restart import fault_of_pauses
+from pancakes.supervision.restart import Policy, fault_of_pauses
 from pancakes.tools.launch.ports import Claim, listening_fault, within_machine
 from pancakes.tools.launch.ssh import fault_of_host
 from pancakes.util import codecs
@@ -32,9 +36,7 @@ from pancakes.util.files import NoHome, NoPathError, at_home
 from pancakes.util.plugins import Plugins
 from pancakes.util.runtime_dir import RunningAgent, entries
 from pancakes.util.schema import schema_of
-from pancakes.util.text import suggestion
-
-Policy = Literal["no", "on-failure", "always"]
+from pancakes.util.text import hint_of, suggestion
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,11 +160,13 @@ class FleetFile:
         fleet: the table `[fleet]`.
         agents: its agents by name, in the order of the file.
         places: file and line of each key, for messages.
+        variables: its variables, which hold in the files of its agents too.
     """
 
     fleet: FleetTable
     agents: Mapping[str, MemberTable]
     places: KeyPlaces = field(repr=False, compare=False)
+    variables: Mapping[str, Any] = field(default_factory=dict)
 
 
 def is_fleet(values: Mapping[str, Any]) -> bool:
@@ -176,12 +180,14 @@ def load_fleet(path: str) -> FleetFile:
     Raises:
         ConfigError: the file cannot be read, or is invalid; the error has all faults.
     """
-    tables = read_tables(text_of(path), path, named=("agent",))
+    tables = read_layers(text_of(path), path, named=("agent",))
+    variables = tables.values.get(VARIABLES)
+    tables = tables._replace(faults=[*tables.faults, *replace_variables(tables.values, tables.places)])
     reader = _FleetReader(tables.values, tables.places)
     found = reader.read()
     if faults := tables.with_faults(reader.faults):
         raise ConfigError(reader.places.in_order(faults))
-    return found
+    return replace(found, variables=variables or {})
 
 
 def fleet_schema() -> dict[str, Any]:
@@ -189,7 +195,7 @@ def fleet_schema() -> dict[str, Any]:
     fleet, agent = closed(schema_of(FleetTable)), closed(schema_of(MemberTable))
     definitions = {**fleet.pop("$defs", {}), **agent.pop("$defs", {})}
     properties = {"fleet": fleet, "agent": named_tables(agent)}
-    return schema_document("A fleet", properties, ["schema", "fleet", "agent"], definitions)
+    return schema_document("A fleet", properties, {"required": ["fleet", "agent"], "properties": {}}, definitions)
 
 
 class _FleetReader:
@@ -287,6 +293,16 @@ class _Draft:
     after: tuple[str, ...] | None = None
     host: str = ""
 
+    def place_of(self, where: str) -> str:
+        """Return the place in the fleet file of what an error in the configuration finds at a `--set`."""
+        if where in self.set_at:
+            return self.set_at[where]
+        # The value of a variable: `node.toml:5 (gateway: --set ...)`.
+        for text, place in self.set_at.items() if "(" in where else ():
+            for end in (",", ")"):
+                where = where.replace(f": {text}{end}", f": {place}{end}")
+        return where
+
 
 def make_fleet(
     paths: Sequence[Path],
@@ -338,7 +354,7 @@ def make_fleet(
             known = plugins if check_hosts or not draft.host else None
             config = load(draft.path, changes, known, must_load=must_load and not draft.host, missing=missing)
         except ConfigError as error:
-            faults += [fault._replace(where=draft.set_at.get(fault.where, fault.where)) for fault in error.faults]
+            faults += [fault._replace(where=draft.place_of(fault.where)) for fault in error.faults]
             continue
         if config.agent.name != draft.name:
             problem = f"differs from {draft.name!r}, the name of this agent in the launch"
@@ -352,8 +368,41 @@ def make_fleet(
     return members
 
 
-def check_free(members: Sequence[Member]) -> Claim:
+def chosen(members: Sequence[Member], names: Sequence[str]) -> list[Member]:
+    """Return the members with these names; all of them if no name is given.
+
+    Raises:
+        PancakesError: there is no member with such a name.
+    """
+    known = [member.name for member in members]
+    for name in names:
+        if name not in known:
+            raise PancakesError(f"the fleet has no agent {name!r}{hint_of(name, known)}")
+    return [
+        replace(member, after=tuple(it for it in member.after if it in names))
+        for member in members
+        if member.name in names
+    ] or list(members)
+
+
+def unlinked(members: Sequence[Member]) -> list[str]:
+    """Return the members that will have no link to another one: none has the address of the other among its peers."""
+    named = {peer for member in members for peer in member.config.agent.peers}
+    return [
+        member.name
+        for member in members
+        if not member.config.agent.peers
+        and not named.intersection(member.config.agent.addresses)
+        and any(it.config.agent.fleet == member.config.agent.fleet for it in members if it is not member)
+    ]
+
+
+def check_free(members: Sequence[Member], claims: bool = True) -> Claim:
     """Check that no other agent on this machine has the name of a member, and no other program has its port.
+
+    Args:
+        members: the agents.
+        claims: whether their ports are claimed; not if the launcher of their whole fleet may have claimed them.
 
     Returns:
         A claim that keeps other launchers from these ports.
@@ -364,6 +413,7 @@ def check_free(members: Sequence[Member]) -> Claim:
     registered = entries()
     running = {(entry.fleet, entry.name): entry.pid for entry in registered}
     problems = []
+    running_here: list[str] = []
     is_taken = False
     here = [member for member in members if not member.host]
     for member in here:
@@ -371,6 +421,7 @@ def check_free(members: Sequence[Member]) -> Claim:
         pid = running.get((agent.fleet, agent.name))
         if pid is not None:
             problems.append(f"the agent {agent.name} of the fleet {agent.fleet} runs already (process {pid})")
+            running_here.append(agent.name)
             continue
         for address in _places(member):
             if fault := listening_fault(address.host, address.port):
@@ -378,7 +429,9 @@ def check_free(members: Sequence[Member]) -> Claim:
                 problems.append(f"{agent.name} cannot listen at {address}: {fault}{_by(address, registered)}")
     if is_taken:
         problems.append("stop the program that uses the port, launch with --local (no ports), or --set another port")
-    claim = Claim.to(address.port for member in here for address in _places(member))
+    if running_here and (others := [member.name for member in here if member.name not in running_here]):
+        problems.append(f"to start only the others: --only {' --only '.join(others)}")
+    claim = Claim.to(address.port for member in here if claims for address in _places(member))
     if problems or claim is None:
         if claim is not None:
             claim.release()
@@ -398,11 +451,9 @@ def _stay_within(drafts: Sequence[_Draft], sets: Mapping[str, list[str]]) -> Non
     tables: dict[str, Any] = {}
     for draft in drafts:
         try:
-            tables[draft.name], places = tables_of(text_of(str(draft.path)), str(draft.path))
+            tables[draft.name] = read_values(text_of(str(draft.path)), str(draft.path), sets[draft.name]).values
         except ConfigError:
             return
-        for change in sets[draft.name]:
-            apply_set(change, tables[draft.name], places)
     agents = {name: table.get("agent") for name, table in tables.items()}
     fleets = {name: str(it.get("fleet", DEFAULT_FLEET)) for name, it in agents.items() if isinstance(it, dict)}
     for name, changes in within_machine(tables, fleets).items():
@@ -437,21 +488,33 @@ def _files(path: Path) -> list[Path]:
     if (path / FLEET_FILE).exists():
         return [path / FLEET_FILE]
     files = sorted(path.glob("*.toml"))
-    if not files:
+    bases = _only_extended(files)
+    if not set(files) - bases:
         raise ConfigError([Fault(str(path), "folder", "contains no configuration (*.toml)")])
-    return files
+    return [file for file in files if file not in bases]
+
+
+def _only_extended(files: Sequence[Path]) -> set[Path]:
+    """Return the files that others extend, and that name no agent themselves."""
+    layers: dict[Path, Tables] = {}
+    for file in files:
+        with suppress(ConfigError):  # which is reported when it is loaded
+            layers[file] = read_layers(text_of(str(file)), str(file))
+    extended = {os.path.realpath(base) for found in layers.values() for base in found.places.files[1:]}
+    return {file for file, found in layers.items() if os.path.realpath(file) in extended and not _name_in(found.values)}
 
 
 def _of_file(path: Path, faults: list[Fault]) -> Iterator[_Draft]:
     """Yield the agents of a file. A faulty agent adds to `faults`; the others are yielded all the same."""
-    values = read_tables(text_of(str(path)), str(path)).values  # its faults are reported when it is loaded
+    values = _values_of(path)
     if path.name != FLEET_FILE and not is_fleet(values):
         yield _Draft(_name_in(values) or path.stem, path)
         return
     found = load_fleet(str(path))
     for name, table in found.agents.items():
         try:
-            file = path.parent / at_home(table.config or f"{name}.toml")
+            # A path counts from the folder of the file that it is in, which may be one that the fleet file extends.
+            file = Path(found.places.file("agent", name, "config")).parent / at_home(table.config or f"{name}.toml")
         except NoPathError as error:
             faults.append(found.places.fault(("agent", name, "config"), str(error)))
             continue
@@ -459,11 +522,13 @@ def _of_file(path: Path, faults: list[Fault]) -> Iterator[_Draft]:
             faults.append(found.places.fault(("agent", name, "config"), f"the file {file} does not exist"))
             continue
         try:
-            own = read_tables(text_of(str(file)), str(file)).values
+            own = _values_of(file)
         except ConfigError as error:
             faults += error.faults
             continue
         set_at: dict[str, str] = {}
+        for variable, value in found.variables.items():
+            set_at[f"{key_text((VARIABLES, variable))}={value_text(value)}"] = found.places.where(VARIABLES, variable)
         if found.fleet.name:
             set_at[f"agent.fleet={value_text(found.fleet.name)}"] = found.places.where("fleet", "name")
         if _name_in(own) != name:
@@ -472,6 +537,11 @@ def _of_file(path: Path, faults: list[Fault]) -> Iterator[_Draft]:
         set_at.update(dict.fromkeys(overrides(table.set), found.places.where("agent", name, "set")))
         places = {set_text(text): where for text, where in set_at.items()}
         yield _Draft(name, file, tuple(set_at), places, table.restart or found.fleet.restart, table.after, table.host)
+
+
+def _values_of(path: Path) -> dict[str, Any]:
+    """Return the plain values of a file. Its faults are reported when it is loaded."""
+    return read_values(text_of(str(path)), str(path)).values
 
 
 def _name_in(values: Mapping[str, Any]) -> str:

@@ -16,7 +16,7 @@ from typing import Any, Final
 from msgspec.structs import replace
 
 from pancakes.config.toml_writer import key_text, leaves, value_text
-from pancakes.mesh.address import LOCAL, Address, local_address, parse_address
+from pancakes.mesh.address import LOCAL, Address, local_address, parse_address, with_port
 
 
 def addresses_in(value: Any) -> list[Address]:
@@ -49,7 +49,7 @@ def _with(value: Any, others: Mapping[Address, str]) -> Any:
 def _address(text: str) -> Address | None:
     """Parse an address with a port; return None if the text is something else."""
     try:
-        found = parse_address(text)
+        found = parse_address(with_port(text))
     except ValueError:
         return None
     return found if found.scheme in ("tcp", "udp") else None

@@ -80,6 +80,11 @@ ANSWER_S: Final = 30.0
 _PR_SET_CHILD_SUBREAPER: Final = 36  # from <linux/prctl.h>
 
 
+def packed(arguments: Sequence[str]) -> bytes:
+    """Return the message with the arguments of a program; a path may have bytes that are not UTF-8."""
+    return bytes(msgpack.packb(list(arguments), unicode_errors="surrogateescape"))
+
+
 class ForkServer:
     """The launcher's end of its fork server, which starts with the first agent, and again if it has ended.
 
@@ -112,7 +117,7 @@ class ForkServer:
             OSError: the process cannot be created.
         """
         files = (output,) if ready_fd is None else (output, ready_fd)
-        return ForkedProcess(self.fork_for(msgpack.packb(list(arguments)), files))
+        return ForkedProcess(self.fork_for(packed(arguments), files))
 
     def fork_for(self, message: bytes, files: Sequence[int]) -> int:
         """Send a message to the program, which forks a child for it; return the child's process number.
@@ -152,6 +157,7 @@ class ForkServer:
         channel = self._channel or self._begin()
         _adopt_orphans(True)
         try:
+            channel.settimeout(ANSWER_S)
             socket.send_fds(channel, [message], files)
             answer = channel.recv(ANSWER_BYTES)
         finally:
@@ -162,7 +168,6 @@ class ForkServer:
 
     def _begin(self) -> socket.socket:
         channel, there = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-        channel.settimeout(ANSWER_S)
         with there:
             self._process = subprocess.Popen(
                 [sys.executable, "-m", self._program, str(there.fileno()), str(os.getpid())],

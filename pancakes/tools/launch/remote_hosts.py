@@ -114,8 +114,12 @@ class Host:
 
 
 @contextmanager
-def open_hosts(members: Sequence[Member]) -> Iterator[dict[str, Host]]:
+def open_hosts(members: Sequence[Member], unreached: Callable[[str], None] | None = None) -> Iterator[dict[str, Host]]:
     """Connect to the hosts of agents, all at once, and disconnect at the end.
+
+    Args:
+        members: the agents.
+        unreached: is called with a sentence for each host that cannot be reached, which is left out; None: an error.
 
     Yields:
         The hosts by name; empty if all agents run on this machine.
@@ -127,7 +131,13 @@ def open_hosts(members: Sequence[Member]) -> Iterator[dict[str, Host]]:
     try:
         for host in dict.fromkeys(member.host for member in members if member.host):
             links[host] = HostLink(host)
-        yield _looked(members, links)
+        hosts, problems = _looked(members, links)
+        if unreached is None and problems:
+            raise PancakesError("\n".join(problems))
+        if unreached is not None:
+            for problem in problems:
+                unreached(problem)
+        yield hosts
     finally:
         for link in links.values():
             link.let_go()
@@ -135,8 +145,10 @@ def open_hosts(members: Sequence[Member]) -> Iterator[dict[str, Host]]:
             link.close()
 
 
-def _looked(members: Sequence[Member], links: Mapping[str, HostLink]) -> dict[str, Host]:
-    hosts, problems = {}, []
+def _looked(members: Sequence[Member], links: Mapping[str, HostLink]) -> tuple[dict[str, Host], list[str]]:
+    """Return the hosts that can be reached, and a sentence for each other one."""
+    hosts: dict[str, Host] = {}
+    problems: list[str] = []
 
     def look(name: str) -> HostLook:
         fleets = {it.name: it.config.agent.fleet for it in members if it.host == name}
@@ -153,9 +165,7 @@ def _looked(members: Sequence[Member], links: Mapping[str, HostLink]) -> dict[st
             hosts[name] = Host(name, links[name], looked.result())
         except PancakesError as error:
             problems.append(str(error))
-    if problems:
-        raise PancakesError("\n".join(problems))
-    return hosts
+    return hosts, problems
 
 
 LOOK_S: Final = 0.05

@@ -36,7 +36,7 @@ def keys_of_run(configs: Mapping[str, Config], elsewhere: Mapping[str, bool] = _
     Raises:
         PancakesError: the library that makes keys is not installed.
     """
-    wanting = _wanting(configs, elsewhere)
+    wanting = without_keys(configs, elsewhere)
     if not wanting:
         yield {}
         return
@@ -65,8 +65,8 @@ def set_keys(folder: Path | None) -> tuple[str, ...]:
     return (f"service.network.settings.keys={value_text(str(folder))}",) if folder is not None else ()
 
 
-def _wanting(configs: Mapping[str, Config], elsewhere: Mapping[str, bool]) -> list[str]:
-    """Return the agents that need keys for this run."""
+def without_keys(configs: Mapping[str, Config], elsewhere: Mapping[str, bool] = _NONE) -> list[str]:
+    """Return the agents that need keys for this run; see `keys_of_run`."""
     open_ = {name: config for name, config in configs.items() if not _network(config).get("insecure")}
     plugins = Plugins()
     if not any(_is_keyed(config, plugins) for config in open_.values()):

@@ -128,6 +128,9 @@ class AgentMetrics(Collector):
             ["agent", "kind"],
             registry=self.registry,
         )
+        self._spans_lost = Counter(
+            "pancakes_spans_lost", "Spans of traces that no collector took.", ["agent"], registry=self.registry
+        )
         ProcessCollector(registry=self.registry)
         PlatformCollector(registry=self.registry)
         GCCollector(registry=self.registry)
@@ -153,6 +156,8 @@ class AgentMetrics(Collector):
             self._takeovers.labels(agent, service, fields["task"]).inc()
         elif event.kind == "task_failed":
             self._failures.labels(agent, service, fields["task"], fields["then"]).inc()
+        elif event.kind == "spans_lost":
+            self._spans_lost.labels(agent).inc(fields["count"])
         elif event.kind in ("asked", "rate_changed", "settings_changed"):
             self._requests.labels(agent, str(fields.get("what", event.kind))).inc()
 

@@ -13,12 +13,11 @@ from typing import Any, Final, cast
 
 from msgspec.structs import replace
 
-from pancakes.durable.record import Epoch
 from pancakes.errors import PancakesError, PluginError, describe
 from pancakes.kernel.actor import Component, core_of
 from pancakes.kernel.handlers import Tick
 from pancakes.kernel.kernel import Kernel
-from pancakes.kernel.mailbox import tell
+from pancakes.kernel.mailbox import REQUEST_TYPES, Call, tell
 from pancakes.kernel.registry import DeviceEntry
 from pancakes.kernel.timer import TaskTimer, Ticking, VirtualTimer
 from pancakes.kernel.virtual_time import VirtualDispatcher
@@ -189,6 +188,7 @@ class Rerun:
         network = MemoryNetwork(self._dispatcher.call_at, self._dispatcher.clock.now, random.Random("network"))
         self._kernel.transport = network.transport(stay.agent)
         self._tapped: dict[str, None] = {}
+        self._is_over = False
         self._seqs_now: dict[_Content, list[int]] = {}
         self._carried, self._rate_hz = self._beginning()
         change_plain(cls.Settings, self._carried.settings, self._settings)
@@ -237,6 +237,9 @@ class Rerun:
             if stay.end == STOPPED and not task.actor_stopped.is_set():
                 task.stop()
                 self._dispatcher.settle()
+        self._is_over = True
+        if task.loop is not None and not task.actor_stopped.is_set():
+            task.loop.close()  # it awaits something still
         self._kernel.stop()
         return outcome
 
@@ -290,7 +293,7 @@ class Rerun:
                 self._kernel.stream.tap(channel, self._take)
 
     def _take(self, packet: Packet) -> None:
-        if packet.source == self._address:
+        if packet.source == self._address and not self._is_over:
             self._outcome.outputs.append(packet)
             self._seqs_now.setdefault(_content(packet), []).append(packet.seq)
 
@@ -301,12 +304,25 @@ class Rerun:
         cause = packet.cause
         if cause is not None and cause[0] == self._address:
             packet = replace(packet, cause=(self._address, self._seq_now(cause[1])))
-        if given.letter:
+        if packet.type in REQUEST_TYPES:
+            asked = self._renumbered(packet)
+            # Its own, as it is taken also while the task awaits: that may be this answer.
+            task.actor_inbox.put(Call(task, lambda: task.requests.take(asked), is_own=True))
+        elif given.letter:
             task.call(lambda: task.run_handlers(packet))
         elif agent_of(packet.source) == self._stay.agent:
             self._kernel.stream.publish(packet)
         else:
             self._kernel.stream.inject(packet)
+
+    def _renumbered(self, packet: Packet) -> Packet:
+        """Return a packet of requests with the number that the task's request has in this run."""
+        from pancakes.kernel.request_packets import Answered, Feedback, read
+
+        body = read(packet)
+        if isinstance(body, Answered | Feedback) and body.source == self._address:
+            body = replace(body, seq=self._seq_now(body.seq))
+        return replace(packet, body=body)
 
     def _seq_now(self, seq: int) -> int:
         """Return the number in this run of a packet of the task, given its recorded number."""
@@ -334,7 +350,7 @@ class Rerun:
                 self._outcome.notes.append(f"the change at {change.time_s:.3f} s cannot be repeated: {error}")
 
         if event.kind == "task_frozen":
-            tell(task, StandStill(Epoch(0, "")))
+            tell(task, StandStill(0))
         elif event.kind == "task_resumed":
             tell(task, GoOn())
         else:

@@ -12,6 +12,7 @@ from pancakes.recording.clock_alignment import MissionTime
 from pancakes.recording.records import CHANNEL, RecordedPacket
 from pancakes.recording.task_statistics import TaskFigures
 from pancakes.tools.report.command_latency import PickedCommands, Reactions
+from pancakes.tools.report.losses import Losses
 from pancakes.tools.report.mission import BodyPaths, EventDigest, Moves, TaskTimeline
 from pancakes.tools.report.performance import Rates, Traffic
 
@@ -46,6 +47,7 @@ class Findings:
     moves: Moves = field(default_factory=Moves)
     reactions: Reactions = field(default_factory=Reactions)
     events: EventDigest = field(default_factory=EventDigest)
+    losses: Losses = field(default_factory=Losses)
 
     @classmethod
     def of(cls, entries: Iterable[RecordedPacket], task_id: str = "", time: MissionTime = MissionTime()) -> Findings:  # noqa: B008
@@ -60,6 +62,10 @@ class Findings:
         for entry in entries:
             findings._add(entry)
         findings.timeline.close()
+        findings.losses.close()
+        for loss in findings.losses.losses:
+            findings.timeline.lost(loss.agent, loss.at_s)
+            findings.events.lost(loss)
         findings.traffic.close()
         findings.reactions.close()
         if task_id:
@@ -106,6 +112,7 @@ class Findings:
     def _look(self, entry: RecordedPacket, packet: Packet, t_s: float) -> None:
         agent = entry.agent
         self.timeline.add(agent, packet, t_s)
+        self.losses.add(agent, packet, t_s)
         if packet.channel == CHANNEL:
             if isinstance(packet.body, TaskFigures):
                 self.rates.add(agent, packet.body, t_s)
@@ -161,6 +168,7 @@ class Findings:
                 }
                 for name in self.traffic.links.names()
             ],
+            "lost": [asdict(loss) for loss in self.losses.losses],
             "moves": [move.plain() for move in self.moves.moves],
             "reactions": [
                 {

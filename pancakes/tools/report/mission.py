@@ -13,6 +13,7 @@ from pancakes.events import Event, LogLine
 from pancakes.migration import MigrationReport
 from pancakes.packet import CTRL, LOG, SYSTEM, Packet, agent_of
 from pancakes.recording.records import TaskDescription
+from pancakes.tools.report.losses import AgentLoss
 from pancakes.tools.report.time_series import TimeSeries
 from pancakes.util import codecs
 from pancakes.util.arrays import without_arrays
@@ -96,6 +97,8 @@ class BodyPaths:
         return shown + [body for name, body in self.poses.items() if name not in self.truth]
 
 
+LOST, NOT_RECORDED = "lost", "not recorded"
+"""How a task ended whose agent was lost, and whose recording began again."""
 INNER: Final = ("log", "network", "device")
 """Services whose tasks belong to the agent itself, not to a mission."""
 ENDS: Final = {
@@ -174,7 +177,7 @@ class TaskTimeline:
         """End the open spans of an agent whose recording begins again: the time in between was not recorded."""
         for lane in self.lanes.values():
             if lane.agent == agent and lane.spans and not lane.spans[-1].ended:
-                lane.spans[-1].to_s, lane.spans[-1].ended = since_s, "not recorded"
+                lane.spans[-1].to_s, lane.spans[-1].ended = since_s, NOT_RECORDED
 
     def _happened(self, agent: str, source: str, event: Event, t_s: float) -> None:
         fields: Mapping[str, Any] = event.fields
@@ -208,6 +211,13 @@ class TaskTimeline:
             if lane.spans and not lane.spans[-1].ended:
                 lane.spans[-1].to_s = self.seen_s[lane.agent]
 
+    def lost(self, agent: str, at_s: float) -> None:
+        """Note that an agent was lost when its recording ended: so did the tasks that ran there."""
+        for lane in self.lanes.values():
+            for span in lane.spans:
+                if lane.agent == agent and span.to_s == at_s and span.ended in ("", NOT_RECORDED):
+                    span.ended = LOST
+
     def only(self, task_id: str) -> None:
         """Forget all tasks but one, given by its identity for life."""
         name = task_id.rpartition("/")[2]
@@ -220,7 +230,7 @@ class TaskTimeline:
 
 MOST_MOVES: Final = 500
 AWAIT_S: Final = 30.0
-"""How long after a hand-off the start of the task on its new agent may follow, in seconds of mission time."""
+"""How long after a migration the start of the task on its new agent may follow, in seconds of mission time."""
 
 
 @dataclass
@@ -240,6 +250,12 @@ class TaskMove:
     frozen_s: float | None = None
     started_s: float | None = None
     silence_s: float | None = None
+
+    @property
+    def outcome(self) -> str:
+        """The outcome, for people: of a task that its guardians moved, that it was taken over."""
+        taken = self.ledger.outcome == "moved" and self.ledger.asked_by == "guardians"
+        return "taken over" if taken else self.ledger.outcome
 
     @property
     def task(self) -> str:
@@ -415,6 +431,10 @@ class EventDigest:
             self._note(self.grave, t_s, agent, body.kind, _text(body.fields))
         elif isinstance(body, Event) and body.kind not in USUAL:
             self._note(self.events, t_s, agent, body.kind, _text(body.fields))
+
+    def lost(self, loss: AgentLoss) -> None:
+        """Note that an agent was lost."""
+        self._note(self.grave, loss.at_s, loss.agent, "agent_lost", loss.noticed)
 
     def _note(self, into: list[DigestEntry], t_s: float, agent: str, kind: str, text: str) -> None:
         text = text if len(text) <= LONGEST else text[: LONGEST - 1] + "…"

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, field
+from typing import Final
 
 from pancakes.errors import LocalProtocolError
 from pancakes.mesh.codec import encode_packet
@@ -130,6 +132,11 @@ class Rates:
     undelivered: dict[str, int] = field(default_factory=dict)
     dead_letters: dict[str, int] = field(default_factory=dict)
 
+    def name(self, timer: TimerRates) -> str:
+        """Return what a timer is called: after its task, and its method too if the task has several timers."""
+        several = sum(key[:2] == (timer.agent, timer.task) for key in self.timers) > 1
+        return f"{timer.task}.{timer.timer}" if several else timer.task
+
     def add(self, agent: str, figures: TaskFigures, t_s: float) -> None:
         """Take a sample of an agent."""
         self.samples += 1
@@ -184,6 +191,14 @@ class Flow:
         return sorted(self.packets.slots, key=lambda name: (-self.bytes.total(name), name))
 
 
+_TERMINAL: Final = re.compile(r"cli-\d+-[0-9a-f]+")
+
+
+def is_terminal(name: str) -> bool:
+    """Return whether a name is that of a terminal or another client: agents have no dot in theirs."""
+    return "." in name or _TERMINAL.fullmatch(name) is not None
+
+
 @dataclass
 class Traffic:
     """The packets that travelled between agents.
@@ -195,11 +210,13 @@ class Traffic:
         links: the traffic by link, as `FROM → TO`.
         channels: the traffic by channel, all links together.
         heard: the agents that were recorded.
+        terminals: how many packets were from or to terminals; no link or channel counts them.
     """
 
     links: Flow = field(default_factory=Flow)
     channels: Flow = field(default_factory=Flow)
     heard: set[str] = field(default_factory=set)
+    terminals: int = 0
     _leaving: Flow = field(default_factory=Flow)
     _leaving_channels: dict[str, Flow] = field(default_factory=dict)
 
@@ -207,7 +224,9 @@ class Traffic:
         """Take a packet that was seen on an agent."""
         self.heard.add(agent)
         source, destination = agent_of(packet.source), packet.destination
-        if source != agent:
+        if is_terminal(source) or is_terminal(agent_of(destination)):
+            self.terminals += 1
+        elif source != agent:
             size = self._size(packet)
             self.links.add(t_s, f"{source} → {agent}", size)
             self.channels.add(t_s, packet.channel, size)

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from pancakes.tools.report.command_latency import Reaction
 from pancakes.tools.report.findings import Findings
-from pancakes.tools.report.mission import Body, CommandSpan, TaskLane, TaskMove
+from pancakes.tools.report.mission import LOST, Body, CommandSpan, TaskLane, TaskMove
 from pancakes.tools.report.performance import Flow, TimerRates
 from pancakes.tools.report.time_series import Counts
 
@@ -267,14 +267,26 @@ def draw_timeline(findings: Findings, palette: Palette, out: Path) -> Picture | 
             bars = [(span.from_s, max(span.to_s - span.from_s, shortest_s)) for span in lane.spans]
             axes.broken_barh(bars, (place - 0.36, 0.72), color=palette.colour(lane.agent), lw=0)
             for span in lane.spans:
-                if span.ended in ("failed", "given up"):
+                if span.ended in ("failed", "given up", LOST):
                     axes.plot(span.to_s, place, "x", ms=5, mew=1.2, color=INK, zorder=3)
+                if span.ended == LOST:
+                    _say_lost(axes, lane.agent, span.to_s, place, findings)
         for move in findings.moves.moves:
             _arrow(axes, move, lanes)
         label_rows(axes, [f"{lane.agent}  {lane.task}" for lane in lanes])
         time_axis(axes, findings)
+        lost = ", and agents that were lost" if findings.losses.losses else ""
         moved = " Arrows: migrations." if any(move.ledger.outcome == "moved" for move in findings.moves.moves) else ""
-        return save(made, out, "tasks", f"Which agent ran which task. Crosses: failures.{moved}")
+        return save(made, out, "tasks", f"Which agent ran which task. Crosses: failures{lost}.{moved}")
+
+
+def _say_lost(axes: Axes, agent: str, at_s: float, place: int, findings: Findings) -> None:
+    """Write beside a cross that an agent was lost, on the side with more room."""
+    left = at_s > findings.begin_s + findings.duration_s / 2
+    how: dict[str, Any] = {"xytext": (-5 if left else 5, 0), "textcoords": "offset points", "zorder": 3}
+    box = {"boxstyle": "round,pad=0.1", "fc": "#ffffff", "ec": "none", "alpha": 0.8}
+    side = "right" if left else "left"
+    axes.annotate(f"{agent} was lost", (at_s, place), va="center", ha=side, fontsize=7, color=INK, bbox=box, **how)
 
 
 def _arrow(axes: Axes, move: TaskMove, lanes: Sequence[TaskLane]) -> None:
@@ -363,7 +375,7 @@ def draw_rates(findings: Findings, palette: Palette, out: Path) -> Picture | Non
                 label = "requested" if first else ""
                 axes.plot(asked_hz, place, "o", ms=5.5, mfc="none", mec=INK, mew=0.8, label=label)
                 axes.plot(got_hz, place, "o", ms=3, color=colour, label="achieved" if first else "")
-        label_rows(axes, [_timer_name(timer) for timer, _ in rows])
+        label_rows(axes, [_timer_name(findings, timer) for timer, _ in rows])
         axes.grid(axis="y", lw=0.3, color=FAINT, alpha=0.5)
         axes.set_xscale("log")
         label_log(axes.xaxis)
@@ -372,8 +384,8 @@ def draw_rates(findings: Findings, palette: Palette, out: Path) -> Picture | Non
         return save(made, out, "rates", "Rates of time-driven tasks: requested and achieved.")
 
 
-def _timer_name(timer: TimerRates) -> str:
-    return f"{timer.agent} {timer.task.rpartition('/')[2]}"
+def _timer_name(findings: Findings, timer: TimerRates) -> str:
+    return f"{timer.agent} {findings.rates.name(timer).rpartition('/')[2]}"
 
 
 def draw_lateness(findings: Findings, palette: Palette, out: Path) -> Picture | None:
@@ -395,7 +407,7 @@ def draw_lateness(findings: Findings, palette: Palette, out: Path) -> Picture | 
             left.plot(max_ms, place, "|", ms=6, mew=1.2, color=colour)
             if rare_ms > usual_ms:
                 left.plot(rare_ms, place, "D", ms=2.6, color=colour)
-        label_rows(left, [_timer_name(timer) for timer in shown])
+        label_rows(left, [_timer_name(findings, timer) for timer in shown])
         left.set_xscale("log")
         label_log(left.xaxis)
         counted = any(timer.lateness_counts for timer in shown)
@@ -403,7 +415,7 @@ def draw_lateness(findings: Findings, palette: Palette, out: Path) -> Picture | 
         for timer in shown[:MOST_LINES]:
             points = [(t_s, 1e3 * max(mean_s, 1e-6)) for t_s, mean_s in timer.lateness.whole()]
             number = [other for other in shown if other.agent == timer.agent].index(timer)
-            plot_line(right, points, number, palette.colour(timer.agent), _timer_name(timer), lw=0.8)
+            plot_line(right, points, number, palette.colour(timer.agent), _timer_name(findings, timer), lw=0.8)
         right.set_yscale("log")
         label_log(right.yaxis)
         right.set_ylabel("mean lateness [ms]")

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass
 from typing import Any, Final
@@ -12,13 +13,16 @@ from pancakes.control import Describe, Reply
 from pancakes.packet import Cause
 from pancakes.tools.short_state import shortened
 from pancakes.tools.web.fleet_model import FleetModel
-from pancakes.tools.web.timeline import FrameHistory, StateHistory
+from pancakes.tools.web.series import thinned, unit
+from pancakes.tools.web.timeline import ClockLine, FrameHistory, StateHistory
 from pancakes.util import codecs
 
 LONGEST_VALUE: Final = 80
 """The longest value in the state of a task, in characters; the rest is cut."""
 FRAMES_HZ: Final = 10.0
 """How often, each second, pages get news and the history gets a frame."""
+MOST_PLOTTED: Final = 1200
+"""The most points of one series that a page gets at once; of more, the extremes of each piece."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,10 +32,12 @@ class Cursor:
     Attributes:
         version: the board's version.
         event: the number of the last event.
+        knots: how many knots mission time had, see `ClockLine`.
     """
 
     version: int
     event: int
+    knots: int = 0
 
 
 class Feed:
@@ -54,6 +60,7 @@ class Feed:
         self.model = FleetModel()
         self.states = StateHistory()
         self._history = FrameHistory()
+        self._clock = ClockLine()
         self._recorded = 0
         self._recorded_s = -1.0
         self._waiting = ""
@@ -97,6 +104,8 @@ class Feed:
             frame = self._frame(t, None if whole else self._recorded)
             self._recorded = board.version
             self._history.add(t, frame)
+            if self.model.has_clock:  # else the line would begin with a jump from 0
+                self._clock.add(t, frame["m"])
 
     def take_detail(self, agent: str, description: Mapping[str, Any]) -> None:
         """Take the result of `Describe` of one task, with its state."""
@@ -112,6 +121,35 @@ class Feed:
         with self.lock:
             return self._history.at(t)
 
+    def find_series(self, words: str, most: int) -> dict[str, Any]:
+        """Return the series whose names contain all words, see `SeriesStore.find`; and follow all packets a while."""
+        with self.lock:
+            series = self.model.series
+            series.want_all(self._present())
+            rows, count = series.find(words, most)
+            return {"rows": rows, "count": count, "left_out": series.left_out}
+
+    def plot(self, names: Sequence[str], since: Sequence[float]) -> dict[str, Any]:
+        """Return the points of series after a moment each, and follow their packets for a while.
+
+        Returns:
+            For each series that exists `[unit, times, values]`; a value is None in a gap.
+        """
+        with self.lock:
+            series = self.model.series
+            series.want(names, self._present())
+            found = {
+                name: points
+                for name, t in zip(names, since, strict=True)
+                if (points := series.after(name, t if math.isfinite(t) else -math.inf)) is not None
+            }
+        return {name: [unit(name), *thinned(*points, MOST_PLOTTED)] for name, points in found.items()}
+
+    def wanted_packets(self) -> dict[str, tuple[str, ...]] | None:
+        """Return which packets pages want, see `SeriesStore.wanted`."""
+        with self.lock:
+            return self.model.series.wanted(self._present())
+
     def frame(self, seen: Cursor | None) -> tuple[bytes, Cursor]:
         """Return what a page has not received yet as JSON, and its new cursor.
 
@@ -121,13 +159,15 @@ class Feed:
         with self.lock:
             t = self.now()
             model = self.model
-            cursor = Cursor(model.board.version, model.events.count)
+            cursor = Cursor(model.board.version, model.events.count, self._clock.changes)
             frame = self._frame(t, seen.version if seen is not None else None)
             events = model.events.since(seen.event if seen is not None else 0)
             if events:
                 frame["events"] = events
             if seen is not None and events and events[0]["n"] > seen.event + 1:
                 frame["lost_events"] = events[0]["n"] - seen.event - 1
+            if seen is None or seen.knots != cursor.knots:
+                frame["knots"] = self._clock.knots
             frame["from"] = round(self._history.begin_s(), 3)
             if self._waiting:
                 frame["waiting"] = self._waiting

@@ -7,11 +7,12 @@ The values of the board, by name (AGENT, TASK ... stand for names; all values ar
 | `fleet` | `{name, speed, held}` |
 | `arena` | `[width_m, height_m]`, round the origin |
 | `body/NAME` | `[x_m, y_m, theta_rad, driven_by]` |
-| `shape/NAME` | `{kind, radius_m, range_m?}`; kind: `robot`, `sensor`, `mover` |
+| `shape/NAME` | `{kind, radius_m?, range_m?}`; kind: `robot`, `sensor`, `mover` |
 | `ring/AGENT/TYPE` | `{bearings_rad, max_m}` of a range sensor |
 | `rays/AGENT/TYPE` | `[range_m, ...]` |
 | `motion/AGENT` | `[detected, bearing_rad, range_m]` |
-| `battery/AGENT` | `[voltage_v, level]` |
+| `battery/AGENT` | `[voltage_v, level]`; while it is charged `[voltage_v, level, true]` |
+| `dock/AGENT` | `[x_m, y_m, state, robot]` of the dock of an agent, as its `dock_state` says |
 | `agent/AGENT` | a mapping: the figures of its card |
 | `service/AGENT/SERVICE` | `[state, reason]` |
 | `task/AGENT/SERVICE/TASK` | a mapping, see `_task`; `guards`, see `_guards`: of a guarded task that AGENT owns |
@@ -25,14 +26,16 @@ from __future__ import annotations
 import math
 from collections import OrderedDict, deque
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from typing import Any, Final, TypeGuard
 
-from pancakes.client.rows import is_quiet, sentence_of
-from pancakes.devices import Battery, Infrared, Motion, Pose, Sonar
+from pancakes.devices import Battery, DockState, Infrared, LaserScan, Motion, Pose, Sonar
 from pancakes.events import record_of
 from pancakes.packet import LOG, Packet
-from pancakes.sim.robot_models import robot_model
+from pancakes.sim.robot_models import UnknownRobotModelError, robot_model
 from pancakes.sim.world_state import WorldState
+from pancakes.tools.web.event_words import is_quiet, sentence_of
+from pancakes.tools.web.series import SeriesStore
 from pancakes.tools.web.timeline import Board
 from pancakes.util.arrays import without_arrays
 
@@ -118,7 +121,15 @@ TRAIL_STEPS: Final = 200
 """The least distance between two points of a trail is the width of the arena divided by this, ..."""
 TRAIL_STEP_M: Final = 0.02
 """... or this, in metres, if there is no arena."""
+MOST_RAYS: Final = 60
+"""The most rays of a laser scan that are drawn."""
 RUNNING: Final = "running"
+PAUSED: Final = "paused"
+MOTORS: Final = "motors"
+"""The type of the devices that a person can drive by hand."""
+FIGURES: Final = ("processor_percent", "memory_mib", "late_ms")
+"""The figures of an agent that have a series."""
+BATTERY: Final = "battery_percent"
 _ENDS: Final = {"task_stopped": "stopped", "task_failed": "failed", "task_given_up": "failed"}
 
 Point = tuple[float, float]
@@ -131,17 +142,24 @@ class FleetModel:
         board: the present, see the module's docstring.
         events: events and lines of the agents' logs.
         trails: the earlier positions of bodies, oldest first.
+        series: the numbers that a page can plot.
     """
 
     def __init__(self, fleet: str = "") -> None:
         self.board = Board()
         self.events = EventLog()
         self.trails: dict[str, deque[Point]] = {}
+        self.series = SeriesStore()
         self._fleet = fleet
         self._step_m = TRAIL_STEP_M
         self._anchor = (0.0, 0.0, 0.0)  # a moment of the timeline, the mission time then, and its speed
         self._leader = ""
         self._truth = False
+
+    @property
+    def has_clock(self) -> bool:
+        """Whether mission time is known: an agent, or a world, has said what it is."""
+        return bool(self._leader)
 
     def mission_s(self, t: float) -> float:
         """Return the mission time at a moment of the timeline, as far as is known."""
@@ -155,6 +173,7 @@ class FleetModel:
         if packet.channel == LOG:
             self.tell(record_of(packet), t)
             return
+        self.series.take(packet, t)
         body = packet.body
         match body:
             case WorldState():
@@ -165,10 +184,18 @@ class FleetModel:
                 ring = {"bearings_rad": [round(it, 3) for it in body.bearings_rad], "max_m": round(body.max_range_m, 3)}
                 self.board.set(f"ring/{agent}/{packet.type}", ring)
                 self.board.set(f"rays/{agent}/{packet.type}", [round(it, 3) for it in body.ranges_m])
+            case LaserScan():
+                bearings_rad, ranges_m = drawn_rays(body)
+                self.board.set(f"ring/{agent}/{packet.type}", {"bearings_rad": bearings_rad, "max_m": body.max_range_m})
+                self.board.set(f"rays/{agent}/{packet.type}", ranges_m)
             case Motion():
                 self.board.set(f"motion/{agent}", [body.detected, _rounded(body.bearing_rad), _rounded(body.range_m)])
             case Battery():
-                self.board.set(f"battery/{agent}", [round(body.voltage_v, 2), round(body.level, 3)])
+                charging = [True] if body.charging else []
+                self.board.set(f"battery/{agent}", [round(body.voltage_v, 2), round(body.level, 3), *charging])
+            case DockState() if packet.source.startswith(f"{agent}/"):
+                place = [round(body.x_m, 3), round(body.y_m, 3)]
+                self.board.set(f"dock/{agent}", [*place, body.state, body.robot])
 
     def tell(self, record: Mapping[str, Any], t: float) -> None:
         """Take a record of an agent's log that was written now."""
@@ -243,9 +270,9 @@ class FleetModel:
         """
         answers = {it["agent"]: it for it in described}
         for row in rows:
-            self._agent(row, answers.get(row["agent"]))
+            self._agent(row, answers.get(row["agent"]), t)
         for description in described:
-            self._links(description)
+            self._links(description, t)
             self._clock(description, t)
 
     def detail(self, agent: str, description: Mapping[str, Any]) -> None:
@@ -279,12 +306,18 @@ class FleetModel:
                 found.append((agent, service, task))
         return found
 
-    def _agent(self, row: Mapping[str, Any], answer: Mapping[str, Any] | None) -> None:
+    def _agent(self, row: Mapping[str, Any], answer: Mapping[str, Any] | None, t: float) -> None:
         agent = row["agent"]
         if answer is None:
             known = self.board.get(f"agent/{agent}") or {"agent": agent, "role": row["role"]}
             self.board.set(f"agent/{agent}", {**known, "state": row["state"]})
+            for figure in FIGURES:
+                self.series.add(f"{agent} {figure}", t, None)
             return
+        processor = row["processor_share"]
+        figures = (None if processor is None else 100.0 * processor, row["memory_mib"], _raw_ms(row["lateness_s"]))
+        for figure, value in zip(FIGURES, figures, strict=True):
+            self.series.add(f"{agent} {figure}", t, value)
         self.board.set(
             f"agent/{agent}",
             {
@@ -303,9 +336,13 @@ class FleetModel:
                 "undelivered": answer["undelivered"],
                 "devices": list(answer["devices"]),
                 "listen": answer["listen"],
+                **({"halt": _halt(halt)} if (halt := answer.get("halt")) else {}),
+                **_reserve(answer.get("reserve")),
             },
         )
         level = answer["battery_level"]
+        if level is not None:
+            self.series.add(f"{agent} {BATTERY}", t, 100.0 * level)
         if level is not None and self.board.get(f"battery/{agent}") is None:
             self.board.set(f"battery/{agent}", [None, round(level, 3)])
         for service in answer["services"]:
@@ -317,9 +354,13 @@ class FleetModel:
                 self._forget_task(agent, service_name, name)
         described = {(task["service"], task["task"]): task for task in answer["tasks"]}
         for task in row["tasks"]:
-            self._task(agent, task, described.get((task["service"], task["task"]), {}))
+            self._task(agent, task, described.get((task["service"], task["task"]), {}), t)
 
-    def _task(self, agent: str, task: Mapping[str, Any], described: Mapping[str, Any]) -> None:
+    def _task(self, agent: str, task: Mapping[str, Any], described: Mapping[str, Any], t: float) -> None:
+        if task["rate_hz"] is not None:
+            address = f"{agent}/{task['service']}/{task['task']}"
+            self.series.add(f"{address} rate_hz", t, task["achieved_hz"])
+            self.series.add(f"{address} late_ms", t, _raw_ms(task["lateness_s"]))
         key = f"task/{agent}/{task['service']}/{task['task']}"
         known = self.board.get(key) or {}
         row = {
@@ -333,8 +374,15 @@ class FleetModel:
             "restarts": task["restarts"],
         }
         for name in ("reason", "rest"):
-            if described.get(name) and (task["state"] != RUNNING or described.get("guarding")):
+            acts = task["state"] == RUNNING and described.get("rest") != PAUSED
+            if described.get(name) and (not acts or described.get("guarding")):
                 row[name] = described[name]
+        if described.get("device") and described.get("rest"):
+            row["rest"] = described["rest"]
+        if described.get("device") == MOTORS:
+            row["driven_by"] = described.get("driven_by", "")
+        if filters := described.get("filters"):
+            row["filters"] = [{key: it[key] for key in ("filter", "doing", "why")} for it in filters]
         if guarding := described.get("guarding"):
             row["guards"] = _guards(guarding)
         if "requires" in known:
@@ -343,7 +391,7 @@ class FleetModel:
         if task["state"] != RUNNING:
             self.board.set(f"circle/{agent}/{task['task']}", None)
 
-    def _links(self, description: Mapping[str, Any]) -> None:
+    def _links(self, description: Mapping[str, Any], t: float) -> None:
         agent = description["agent"]
         present = set()
         for peer in description["mesh"]["peers"]:
@@ -355,6 +403,7 @@ class FleetModel:
             # Both ends measure it; the one with the lower name counts, so that the value does not alternate.
             if agent == one or self.board.get(key) is None:
                 self.board.set(key, _short(1000.0 * peer["rtt_s"], 2) if peer["rtt_s"] is not None else -1)
+                self.series.add(f"{one}~{other} round_trip_ms", t, _raw_ms(peer["rtt_s"]))
         for key in self.board.keys("link/"):
             if agent in key.split("/")[1:] and key not in present:
                 self.board.set(key, None)
@@ -378,13 +427,42 @@ class FleetModel:
             return
         self.board.set("arena", [arena["width_m"], arena["height_m"]])
         self._step_m = max(0.01, arena["width_m"] / TRAIL_STEPS)
-        for name, robot in dict(settings.get("robots") or {}).items():
-            self.board.set(f"shape/{name}", {"kind": "robot", "radius_m": robot_model(robot["model"]).radius_m})
-        for name, sensor in dict(settings.get("sensors") or {}).items():
-            shape = {"kind": "sensor", "radius_m": sensor["radius_m"], "range_m": sensor["motion"]["range_m"]}
-            self.board.set(f"shape/{name}", shape)
-        for name, mover in dict(settings.get("movers") or {}).items():
-            self.board.set(f"shape/{name}", {"kind": "mover", "radius_m": mover["radius_m"]})
+        for kind in ("robot", "sensor", "mover"):
+            bodies = settings.get(f"{kind}s")
+            for name, body in dict(bodies).items() if isinstance(bodies, Mapping) else ():
+                self.board.set(f"shape/{name}", _shape(kind, body))
+
+
+def _halt(halt: Mapping[str, Any]) -> str:
+    """Return who halted an agent, and why."""
+    return f"halted by {str(halt['by']).partition('/')[0]}" + (f": {halt['reason']}" if halt["reason"] else "")
+
+
+def _reserve(reserve: Mapping[str, Any] | None) -> dict[str, Any]:
+    """Return how long a robot can go on before it must go to a dock, and what is wrong with docks or battery."""
+    if reserve is None:
+        return {}
+    trouble = {"charge_trouble": reserve["trouble"]} if reserve["trouble"] else {}
+    seconds = reserve["seconds"]  # a task of a user's own may tell NaN
+    return {**({"reserve_s": round(seconds)} if math.isfinite(seconds) else {}), **trouble}
+
+
+def _shape(kind: str, body: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the shape of a body of a world; without its size if the settings do not tell it here.
+
+    The world may be another's, and the model of a robot may be of a plug-in that is not installed here.
+    """
+    shape: dict[str, Any] = {"kind": kind}
+    radius_m = body.get("radius_m")
+    if radius_m is None and isinstance(body.get("model"), str):
+        with suppress(UnknownRobotModelError):
+            radius_m = robot_model(body["model"]).radius_m
+    if radius_m is not None:
+        shape["radius_m"] = radius_m
+    motion = body.get("motion")
+    if isinstance(motion, Mapping) and "range_m" in motion:
+        shape["range_m"] = motion["range_m"]
+    return shape
 
 
 def _is_point(value: Any) -> TypeGuard[Sequence[float]]:
@@ -414,5 +492,25 @@ def _guards(guarding: Mapping[str, Any]) -> dict[str, Any]:
     return {"wanted": guarding["guard"], "permit_s": permit_s, "age_s": _short(guarding["age_s"], 2), "by": guardians}
 
 
+def _raw_ms(seconds: float | None) -> float | None:
+    return 1000.0 * seconds if seconds is not None else None
+
+
 def _ms(seconds: float | None) -> float | None:
     return round(1000.0 * seconds, 1) if seconds is not None else None
+
+
+def drawn_rays(scan: LaserScan) -> tuple[list[float], list[float]]:
+    """Return the bearings and ranges of a scan as it is drawn: of rays side by side, the shortest that measured.
+
+    At most `MOST_RAYS` are drawn: a page gets them ten times a second.
+    """
+    width = -(-len(scan.ranges_mm) // MOST_RAYS)
+    bearings_rad, ranges_m = [], []
+    for first in range(0, len(scan.ranges_mm), width):
+        measured = [(it, first + place) for place, it in enumerate(scan.ranges_mm[first : first + width]) if it]
+        if measured:
+            nearest_mm, ray = min(measured)
+            bearings_rad.append(round(scan.start_rad + ray * scan.step_rad, 3))
+            ranges_m.append(nearest_mm / 1000)
+    return bearings_rad, ranges_m

@@ -14,7 +14,7 @@ from typing import Annotated, Any, Final, Literal
 import msgspec
 
 from pancakes.config.toml_writer import key_text
-from pancakes.control import Configure, Migrate, Reschedule, Restart, Start, Stop
+from pancakes.control import Configure, Drive, EndDrive, EndHalt, Halt, Migrate, Reschedule, Restart, Start, Stop
 from pancakes.errors import ControlRefusedError
 from pancakes.kernel.handlers import period_of
 from pancakes.tools.schema_rows import arms_of, bounds_of, resolved, type_of, unit_of
@@ -221,13 +221,78 @@ _PLAIN: Final[Mapping[str, type[Stop] | type[Start] | type[Restart]]] = {
 }
 
 
-def order_from(message: Any) -> PageOrder:
+class PageHalt(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A halt that a page orders from an agent, or its end.
+
+    Attributes:
+        agent: the agent's name.
+        do: which of the two.
+        reason: why, for people; only with `halt`.
+    """
+
+    agent: AgentName
+    do: Literal["halt", "end_halt"]
+    reason: Annotated[str, msgspec.Meta(max_length=200)] = ""
+
+    def __post_init__(self) -> None:
+        if self.reason and self.do != "halt":
+            raise ValueError("reason belongs to 'halt', and only to it")
+
+    def body(self) -> Halt | EndHalt:
+        """Return the control packet's body."""
+        return Halt(self.reason) if self.do == "halt" else EndHalt()
+
+
+MOST_SPEED: Final = 1000.0
+"""The highest speed, in m/s or rad/s, that a page may ask for: the robot has limits of its own."""
+Speed = Annotated[float, msgspec.Meta(ge=-MOST_SPEED, le=MOST_SPEED)]
+
+
+class PageDrive(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A velocity with which a person on a page drives an actuator, or the end of that drive.
+
+    Attributes:
+        agent: the agent's name.
+        device: the actuator on it.
+        do: which of the two.
+        drive: names the drive, a random text of the page; the message itself has an `id`.
+        v_mps: forward speed; only with `drive`, as all that follow.
+        omega_radps: turning rate, counter-clockwise.
+        begin: whether it begins a drive.
+        take: whether it takes over from another driver.
+    """
+
+    agent: AgentName
+    device: AgentName
+    do: Literal["drive", "end_drive"]
+    drive: Annotated[str, msgspec.Meta(pattern=r"\A[0-9a-f]{8,64}\Z")]
+    v_mps: Speed = 0.0
+    omega_radps: Speed = 0.0
+    begin: bool = False
+    take: bool = False
+
+    def __post_init__(self) -> None:
+        if self.do != "drive" and (self.v_mps or self.omega_radps or self.begin or self.take):
+            raise ValueError("v_mps, omega_radps, begin and take belong to 'drive', and only to it")
+
+    def body(self) -> Drive | EndDrive:
+        """Return the control packet's body."""
+        if self.do == "end_drive":
+            return EndDrive(self.device, self.drive)
+        return Drive(self.device, self.drive, self.v_mps, self.omega_radps, self.begin, self.take)
+
+
+def order_from(message: Any) -> PageOrder | PageHalt | PageDrive:
     """Convert a message of a page to an order.
 
     Raises:
         ControlRefusedError: the message is not a valid order; the sentence says why.
     """
     try:
+        if isinstance(message, Mapping) and message.get("do") in ("halt", "end_halt"):
+            return codecs.convert(message, PageHalt)
+        if isinstance(message, Mapping) and message.get("do") in ("drive", "end_drive"):
+            return codecs.convert(message, PageDrive)
         return codecs.convert(message, PageOrder)
     except msgspec.ValidationError as error:
         raise ControlRefusedError(f"the page sent an invalid order: {_lower(str(error))}") from None

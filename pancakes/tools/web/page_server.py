@@ -1,4 +1,4 @@
-"""Serve the page on the loopback interface: files over HTTP, news and orders over a WebSocket.
+"""Serve the page: files over HTTP, news and orders over a WebSocket; only on the loopback interface, unless exposed.
 
 The server runs in its own thread. The WebSocket library ignores the method of a request, and does not answer a request
 with a body; so `PageConnection` refuses all methods except GET. `TaskLooks` asks agents about the task that a person
@@ -9,15 +9,19 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import errno
 import hmac
 import logging
+import math
 import secrets
+import socket
 import threading
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from http import HTTPStatus
 from importlib import resources
-from typing import Annotated, Any, Final
+from typing import Annotated, Any, ClassVar, Final
 
 import msgspec
 from websockets.asyncio.server import Server, ServerConnection, serve
@@ -30,14 +34,17 @@ from pancakes.errors import ControlRefusedError, NoAnswerError, PancakesError, d
 from pancakes.packet import Cause
 from pancakes.tools.loopback import names_loopback
 from pancakes.tools.short_state import ShortState
+from pancakes.tools.web.exposure import Exposure
 from pancakes.tools.web.feed import FRAMES_HZ, Cursor, Shown
-from pancakes.tools.web.orders import AgentName, ServiceTask, fields_of, order_from
+from pancakes.tools.web.orders import AgentName, PageDrive, ServiceTask, fields_of, order_from
+from pancakes.tools.web.page_secret import secret_of
+from pancakes.tools.web.sign_in import HEADER, SignIn, is_own_name
 from pancakes.util import codecs
 from pancakes.util.arrays import as_list
 from pancakes.util.codecs import MALFORMED, why_malformed
 
 _HEADERS: Final = {
-    "Content-Security-Policy": "default-src 'self'; img-src 'self' data:; connect-src 'self' ws:;"
+    "Content-Security-Policy": "default-src 'self'; img-src 'self' data:; connect-src 'self' ws: wss:;"
     " base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
     "X-Content-Type-Options": "nosniff",
     "Referrer-Policy": "no-referrer",
@@ -57,6 +64,8 @@ def refused(status: HTTPStatus, sentence: str) -> Response:
 
 
 METHODS: Final = "GET"
+MOST_CONNECTIONS: Final = 256
+"""The most connections to one server, of pages and others; further ones are closed at once."""
 LONGEST_METHOD: Final = 20
 """The longest method, in characters; the library refuses longer ones."""
 
@@ -64,10 +73,25 @@ LONGEST_METHOD: Final = 20
 class PageConnection(ServerConnection):
     """Refuse requests with any method except GET."""
 
+    connected: ClassVar[set[PageConnection]]
+    """The connections of one server."""
+
     def __init__(self, *args: Any, **others: Any) -> None:
         super().__init__(*args, **others)
         self._begun: bytes | None = b""
         self._refused = False
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """See `asyncio.Protocol`."""
+        super().connection_made(transport)
+        self.connected.add(self)
+        if len(self.connected) > MOST_CONNECTIONS:
+            self.transport.abort()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """See `asyncio.Protocol`."""
+        self.connected.discard(self)
+        super().connection_lost(exc)
 
     def data_received(self, data: bytes) -> None:
         """See `asyncio.Protocol`."""
@@ -90,7 +114,10 @@ class PageConnection(ServerConnection):
         response: Response = refused(HTTPStatus.METHOD_NOT_ALLOWED, f"{method} changes nothing here: there is only GET")
         response.headers["Allow"] = METHODS
         self.transport.write(response.serialize())
-        self.transport.write_eof()
+        if self.transport.can_write_eof():  # TLS cannot
+            self.transport.write_eof()
+        else:
+            self.transport.close()
 
 
 TYPES: Final = {
@@ -98,6 +125,7 @@ TYPES: Final = {
     ".css": "text/css; charset=utf-8",
     ".js": "text/javascript; charset=utf-8",
     ".svg": "image/svg+xml",
+    ".txt": "text/plain; charset=utf-8",
 }
 
 
@@ -112,10 +140,12 @@ class StaticFile:
 def static_files() -> dict[str, StaticFile]:
     """Return the files of the page by their URL path; no other file is ever served."""
     found = {}
-    for file in resources.files("pancakes.tools.web").joinpath("static").iterdir():
-        suffix = file.name[file.name.rfind(".") :]
-        if suffix in TYPES:
-            found[f"/{file.name}"] = StaticFile(TYPES[suffix], file.read_bytes())
+    top = resources.files("pancakes.tools.web").joinpath("static")
+    for prefix, folder in (("/", top), ("/vendor/", top.joinpath("vendor"))):
+        for file in folder.iterdir():
+            suffix = file.name[file.name.rfind(".") :]
+            if suffix in TYPES:
+                found[f"{prefix}{file.name}"] = StaticFile(TYPES[suffix], file.read_bytes())
     found["/"] = found["/index.html"]
     return found
 
@@ -144,9 +174,10 @@ class TaskLooks:
             t: a moment of the timeline; None: the present.
 
         Returns:
-            `state`: its `rows`, whether they are `cut`, and the moment `t` of the timeline at which it was seen; None
-            if the state is unknown, with the reason as `no_state`. Only for the present: `settings`, the number of
-            those that are `left_out` (see `fields_of`), and `timers`.
+            `state`: its `rows`, whether they are `cut`, the nodes of its behaviour `tree` (depth, name, kind, status,
+            message), and the moment `t` of the timeline at which it was seen; None if the state is unknown, with the
+            reason as `no_state`. Only for the present: `settings`, the number of those that are `left_out` (see
+            `fields_of`), and `timers`.
 
         Raises:
             PancakesError: the agent refuses or does not answer, and the timeline has no state of the task.
@@ -223,7 +254,8 @@ def _seen(shown: Shown, agent: str, target: str, t: float) -> dict[str, Any] | N
 
 
 def _plain(seen_s: float, state: ShortState) -> dict[str, Any]:
-    return {"t": round(seen_s, 3), "rows": state.rows, "cut": state.cut}
+    tree = [[row.depth, row.name, row.kind, row.status, row.message] for row in state.tree]
+    return {"t": round(seen_s, 3), "rows": state.rows, "cut": state.cut, "tree": tree}
 
 
 ADDRESS: Final = "127.0.0.1"
@@ -236,14 +268,25 @@ MOST_ASIDE: Final = 32
 """The most connections that have not shown the token yet; beyond that the oldest is closed."""
 TOKEN_S: Final = 2.0
 """How long a page may take to show the token, in seconds."""
+MOST_NAMES: Final = 200
+"""The most series that one question asks for."""
+MOST_FOUND: Final = 60
+"""The most series that a search returns."""
 MOST_ASKED: Final = 16
 """The most questions of one page at a time."""
 LONGEST_MESSAGE: Final = 16 * 1024
 ORDER_S: Final = 30.0
 """How long an agent may take for an order, in seconds: a task may be busy before it migrates."""
+DRIVE_S: Final = 2.0
+"""The same of a command with which a person drives: the robot has stopped by then."""
 CLOSE_S: Final = 2.0
 FULL: Final = f"full: {MOST_PAGES} pages are open already, close one"
 WITHOUT_TOKEN: Final = "open the page at the address that was printed: it contains a token"
+WITHOUT_PASSWORD: Final = "sign in with the password of the page"
+NEEDS_PASSWORD: Final = 4401
+"""The code with which a connection without a cookie is closed; the page then asks for the password."""
+LOGIN: Final = "/login"
+LOGOUT: Final = "/logout"
 
 _LOG: Final = logging.getLogger("pancakes.tools.web.page")
 """Takes the library's complaints about malformed requests, which should not appear on the terminal."""
@@ -257,10 +300,12 @@ class PageServer:
     A page gets the changes since its last frame, as soon as it has taken that frame: a slow page gets fewer frames, and
     delays no other page. The server answers only pages that it served itself under a name of the loopback interface, so
     another site in the same browser can neither read nor order anything. A page must also show the token from the
-    printed address, because other users of the machine reach the loopback interface too.
+    printed address, because other users of the machine reach the loopback interface too. A page that is served beyond
+    that interface needs its password instead, see `SignIn`.
 
     Args:
         shown: what the pages show.
+        exposure: how it is served beyond the loopback interface; None: only on that interface.
 
     Attributes:
         token: the secret that a page must show.
@@ -268,8 +313,12 @@ class PageServer:
         skipped: how many frames were skipped because pages were too slow.
     """
 
-    def __init__(self, shown: Shown) -> None:
+    def __init__(self, shown: Shown, exposure: Exposure | None = None) -> None:
         self._shown = shown
+        self._exposure = exposure
+        self._tls = exposure.tls() if exposure is not None else None
+        self._names = exposure.all_names() if exposure is not None else frozenset()
+        self._sign_in: SignIn | None = None
         self._files = static_files()
         self._pages: set[ServerConnection] = set()
         self._looks = TaskLooks()
@@ -286,7 +335,13 @@ class PageServer:
     @property
     def address(self) -> str:
         """The address of the page, for people."""
+        if self._exposure is not None:
+            return f"{self._scheme}://{self._exposure.shown_name()}:{self.port}/"
         return f"http://{ADDRESS}:{self.port}/#token={self.token}"
+
+    @property
+    def _scheme(self) -> str:
+        return "https" if self._tls is not None else "http"
 
     def start(self, port: int | None = 0) -> None:
         """Begin to listen; see `open_page` for the port.
@@ -299,8 +354,15 @@ class PageServer:
         self._begun.wait()
         if self._fault is not None:
             self._thread.join()
-            why = self._fault.strerror
-            raise PancakesError(f"the page cannot be served at port {port}: {why}: choose another with --port")
+            where = f"{self._host} port {port or PORT}" if self._exposure is not None else f"port {port}"
+            why = f"{self._fault.strerror or self._fault}: choose another with --port"
+            if isinstance(self._fault, socket.gaierror) or self._fault.errno == errno.EADDRNOTAVAIL:
+                why = f"this machine has no such address: choose another with --host ({self._fault.strerror})"
+            raise PancakesError(f"the page cannot be served at {where}: {why}")
+
+    @property
+    def _host(self) -> str:
+        return self._exposure.host if self._exposure is not None else ADDRESS
 
     def show(self, shown: Shown) -> None:
         """Show something else to all pages from now on. Any thread."""
@@ -309,7 +371,7 @@ class PageServer:
     def close(self) -> None:
         """End all connections. Not from its own thread."""
         stop = self._stop
-        if stop is not None:
+        if stop is not None and self._thread.is_alive():
             self._loop.call_soon_threadsafe(stop.set)
         self._thread.join()
 
@@ -328,6 +390,10 @@ class PageServer:
             self._begun.set()
             return
         self.port = next(iter(server.sockets)).getsockname()[1]
+        if self.port == self._ports[0]:  # a page at a port that comes by chance is not the same page again
+            self.token = secret_of(self.port, self._shown.order is not None)
+        if self._exposure is not None:
+            self._sign_in = SignIn(self._exposure.password, self.token, f"pancakes_{self.port}")
         self._begun.set()
         try:
             await self._stop.wait()
@@ -344,17 +410,21 @@ class PageServer:
         return await self._listen_at(self._ports[-1])
 
     async def _listen_at(self, port: int) -> Server:
+        class Connection(PageConnection):
+            connected: ClassVar[set[PageConnection]] = set()
+
         return await serve(
             self._page,
-            ADDRESS,
+            self._host,
             port,
+            ssl=self._tls,
             process_request=self._request,
             compression=None,
             max_size=LONGEST_MESSAGE,
             max_queue=MOST_ASKED,
             close_timeout=CLOSE_S / 2,
             server_header=None,
-            create_connection=PageConnection,
+            create_connection=Connection,
             logger=_LOG,
         )
 
@@ -364,17 +434,47 @@ class PageServer:
         """Answer a request for a file, or let a WebSocket be opened (None)."""
         # Any other host name can be a DNS rebinding attack: a foreign site whose name leads to this machine.
         host = request.headers.get_all("Host")
-        if not names_loopback(host):
+        if self._exposure is None and not names_loopback(host):
             return refused(HTTPStatus.MISDIRECTED_REQUEST, "open this page at http://127.0.0.1")
+        if self._exposure is not None and not is_own_name(host, self._names):
+            return refused(
+                HTTPStatus.MISDIRECTED_REQUEST,
+                "open this page at the address that was printed; for another name, start it with --name NAME",
+            )
         path = request.path.partition("?")[0]
         if path == SOCKET:
-            if request.headers.get_all("Origin") != [f"http://{host[0]}"]:
+            if request.headers.get_all("Origin") != [f"{self._scheme}://{host[0]}"]:
                 return refused(HTTPStatus.FORBIDDEN, "only the page of this server may open this")
             return None
+        if self._sign_in is not None and path in (LOGIN, LOGOUT):
+            return self._sign(self._sign_in, path, connection, request.headers.get_all(HEADER))
         file = self._files.get(path)
         if file is None:
             return refused(HTTPStatus.NOT_FOUND, "not found")
         return response(HTTPStatus.OK, file.type, file.data)
+
+    def _sign(self, sign_in: SignIn, path: str, connection: ServerConnection, given: Sequence[str]) -> Response:
+        """Sign a browser in or out. Another site cannot send the header: nothing is permitted across sites here."""
+        if len(given) != 1:
+            return refused(HTTPStatus.BAD_REQUEST, f"{path} needs the header {HEADER}")
+        if path == LOGOUT:
+            return self._with_cookie(sign_in.no_cookie(self._tls is not None))
+        address, now_s = str(connection.remote_address[0]), self._loop.time()
+        pause_s = sign_in.pause_s(address, now_s)
+        if pause_s > 0.0:
+            answer = refused(
+                HTTPStatus.TOO_MANY_REQUESTS, f"too many wrong passwords: try again in {math.ceil(pause_s)} s"
+            )
+            answer.headers["Retry-After"] = str(math.ceil(pause_s))
+            return answer
+        if not sign_in.is_right(given[0], address, now_s):
+            return refused(HTTPStatus.UNAUTHORIZED, "this is not the password of the page")
+        return self._with_cookie(sign_in.new_cookie(time.time(), self._tls is not None))
+
+    def _with_cookie(self, cookie: str) -> Response:
+        answer = response(HTTPStatus.OK, "text/plain; charset=utf-8", b"")
+        answer.headers["Set-Cookie"] = cookie
+        return answer
 
     # The WebSocket ---------------------------------------------------------------------------------------------
 
@@ -394,14 +494,20 @@ class PageServer:
             answering.cancel()
 
     async def _let_in(self, connection: ServerConnection) -> bool:
-        """Return whether a page may look: its first message must show the token. Otherwise close it with a reason."""
+        """Return whether a page may look. Otherwise close it with a reason.
+
+        Its first message must show the token; if the page has a password, the request must have its cookie.
+        """
         while len(self._aside) >= MOST_ASIDE:
             self._aside.pop(next(iter(self._aside))).cancel()
         self._aside[connection] = first = asyncio.ensure_future(connection.recv())
         try:
             await asyncio.wait({first}, timeout=TOKEN_S)
-            if not first.done() or first.cancelled() or not self._has_token(first.result()):
-                await connection.close(1008, WITHOUT_TOKEN)
+            if not first.done() or first.cancelled() or not self._is_known(connection, first.result()):
+                if self._sign_in is not None:
+                    await connection.close(NEEDS_PASSWORD, WITHOUT_PASSWORD)
+                else:
+                    await connection.close(1008, WITHOUT_TOKEN)
                 return False
             if len(self._pages) >= MOST_PAGES:
                 await connection.close(1013, FULL)
@@ -414,13 +520,18 @@ class PageServer:
             first.cancel()
         return True
 
-    def _has_token(self, message: str | bytes) -> bool:
+    def _is_known(self, connection: ServerConnection, message: str | bytes) -> bool:
         try:
             asked = _ASKED(message)
         except MALFORMED:
             return False
+        if asked.get("ask") != "hello":
+            return False
+        if self._sign_in is not None:
+            request = connection.request
+            return request is not None and self._sign_in.knows(request.headers.get_all("Cookie"), time.time())
         given = str(asked.get("token", ""))
-        return asked.get("ask") == "hello" and hmac.compare_digest(given.encode(), self.token.encode())
+        return hmac.compare_digest(given.encode(), self.token.encode())
 
     async def _show(self, connection: ServerConnection) -> None:
         """Send frames as fast as the page takes them, at most at `FRAMES_HZ`."""
@@ -481,9 +592,14 @@ class PageServer:
     async def _do(self, what: Any, asked: dict[str, Any]) -> Any:
         shown = self._shown
         if what == "hello":
-            return {"control": shown.order is not None, "title": shown.title}
+            return {"control": shown.order is not None, "title": shown.title, "password": self._sign_in is not None}
         if what == "chunk":
             return msgspec.Raw(shown.feed.chunk(_moment_of(asked)))
+        if what == "series":
+            asked_series = codecs.convert(asked, _SeriesRequest)
+            return await self._loop.run_in_executor(None, shown.feed.plot, asked_series.names, asked_series.since)
+        if what == "find":
+            return shown.feed.find_series(codecs.convert(asked, _FindRequest).words, MOST_FOUND)
         if what == "explain":
             return await self._loop.run_in_executor(None, shown.explain, *_command_of(asked))
         if what == "task":
@@ -493,9 +609,10 @@ class PageServer:
             if shown.order is None:
                 raise ControlRefusedError("this page is read-only: start it with --control to change something")
             order = order_from(asked)
-            asked_for = asyncio.wrap_future(shown.order(order.agent, order.body(), ORDER_S))
+            limit_s = DRIVE_S if isinstance(order, PageDrive) else ORDER_S
+            asked_for = asyncio.wrap_future(shown.order(order.agent, order.body(), limit_s))
             try:
-                return await asyncio.wait_for(asked_for, ORDER_S + CLOSE_S)
+                return await asyncio.wait_for(asked_for, limit_s + CLOSE_S)
             except TimeoutError:
                 raise NoAnswerError(f"{order.agent} did not answer in time") from None
         raise ControlRefusedError(f"a page cannot ask for {str(what)[:40]!r}")
@@ -533,6 +650,23 @@ class _TaskLookRequest(msgspec.Struct):
     agent: AgentName
     task: ServiceTask
     t: float | None = None
+
+
+class _SeriesRequest(msgspec.Struct):
+    """The series that a page shows, and the moment of the timeline after which it needs points, of each."""
+
+    names: Annotated[tuple[Annotated[str, msgspec.Meta(max_length=300)], ...], msgspec.Meta(max_length=MOST_NAMES)]
+    since: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        if len(self.names) != len(self.since):
+            raise ValueError("each name needs a moment")
+
+
+class _FindRequest(msgspec.Struct):
+    """The words that the name of a series must have."""
+
+    words: Annotated[str, msgspec.Meta(max_length=200)] = ""
 
 
 class _ExplainRequest(msgspec.Struct):

@@ -139,6 +139,45 @@ class FrameHistory:
         )
 
 
+MOST_KNOTS: Final = 200
+"""The most changes of the speed of mission time that are kept."""
+KNOT_S: Final = 0.3
+"""Mission time may differ by this many seconds from a straight line before a new line begins."""
+
+
+class ClockLine:
+    """Keep how mission time went along the timeline, as knots of a line: few, because its speed rarely changes.
+
+    Attributes:
+        knots: moments `t` of the timeline with their mission times, oldest first.
+        changes: how many knots there were so far.
+    """
+
+    def __init__(self) -> None:
+        self.knots: list[tuple[float, float]] = []
+        self.changes = 0
+        self._last = (0.0, 0.0)
+        self._slope: float | None = None
+
+    def add(self, t: float, mission_s: float) -> None:
+        """Note the mission time at a moment; moments come in order."""
+        if not self.knots:
+            self._begin(t, mission_s)
+        begin_t, begin_s = self.knots[-1]
+        if self._slope is None and t - begin_t >= 1.0:  # a shorter line has no reliable slope
+            self._slope = (mission_s - begin_s) / (t - begin_t)
+        slope = self._slope
+        if slope is not None and abs(begin_s + slope * (t - begin_t) - mission_s) > KNOT_S * max(1.0, slope):
+            self._begin(*self._last)
+        self._last = (t, mission_s)
+
+    def _begin(self, t: float, mission_s: float) -> None:
+        self.knots.append((round(t, 3), round(mission_s, 3)))
+        self.changes += 1
+        self._slope = None
+        del self.knots[:-MOST_KNOTS]
+
+
 MOST_STATE_BYTES: Final = 8 * 1024 * 1024
 """The most memory of the states; beyond that the oldest state is dropped."""
 

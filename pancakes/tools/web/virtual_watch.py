@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from concurrent.futures import Future
 from typing import Any, Final
 
@@ -12,7 +12,8 @@ from pancakes.agent.agent import Agent
 from pancakes.client.rates import RateMeter
 from pancakes.control import Describe, Refusal, Reply
 from pancakes.errors import ControlRefusedError, PancakesError, UnreachableError
-from pancakes.packet import CTRL, LOG, SYSCTRL, SYSTEM, Cause, Packet, agent_of
+from pancakes.kernel.stream import InformationStream
+from pancakes.packet import CORE_CHANNELS, CTRL, LOG, SYSCTRL, SYSTEM, Cause, Packet, agent_of
 from pancakes.recording.causal_chains import ActuatorCommand, CommandChains
 from pancakes.recording.records import NANOSECONDS, RecordedPacket
 from pancakes.services.root import Root
@@ -32,6 +33,22 @@ LOOK_S: Final = 1.0
 """How often the descriptions of the agents are read, in seconds of mission time."""
 SLICE_S: Final = 0.05
 """How often the mission waits for the viewer's clock, in seconds of the viewer's time."""
+
+
+class _OwnChannels:
+    """Tap the channels that the tasks of an agent make; their packets can be plotted."""
+
+    def __init__(self, stream: InformationStream, hear: Callable[[Packet], None]) -> None:
+        self._stream = stream
+        self._hear = hear
+        self._tapped: set[str] = set()
+
+    def tap(self) -> None:
+        """Tap the channels that are new."""
+        present = set(self._stream.channels()).difference(CORE_CHANNELS)
+        for channel in sorted(present - self._tapped):
+            self._stream.tap(channel, self._hear)
+        self._tapped = present
 
 
 class VirtualWatch:
@@ -57,6 +74,7 @@ class VirtualWatch:
         self._looked_s = -LOOK_S
         self._detailed_s: dict[tuple[str, str, str], float] = {}
         self._stale: set[tuple[str, str, str]] = set()
+        self._own_channels: dict[str, _OwnChannels] = {}
         self._questions: deque[tuple[str, Describe, Future[Reply]]] = deque()
         self._chains = CommandChains()
         self._explainer = CommandExplainer()
@@ -178,9 +196,17 @@ class VirtualWatch:
                     self.feed.model.hear(name, packet, t)
                     if packet.type == "event":
                         self._notice(packet)
+                elif packet.channel != LOG:
+                    self.feed.model.series.take(packet, t)
+
+        def plot(packet: Packet) -> None:
+            if not self._over:
+                with self.feed.lock:
+                    self.feed.model.series.take(packet, agent.kernel.host.now() / self.speed)
 
         for channel in (LOG, SYSTEM, CTRL):
             stream.tap(channel, hear)
+        self._own_channels[name] = _OwnChannels(stream, plot)
         # A packet that leaves for another agent is not on a channel here.
         stream.tap_outgoing(leaves)
 
@@ -198,6 +224,8 @@ class VirtualWatch:
         if self._time_s - self._looked_s < LOOK_S:
             return
         self._looked_s = self._time_s
+        for own in self._own_channels.values():
+            own.tap()
         described = []
         for agent in (handle.agent for handle in self._fleet.agents.values()):
             root = agent.kernel.registry.get(f"{agent.name}/kernel")

@@ -17,6 +17,7 @@ from pancakes.errors import ControlRefusedError, NoAnswerError, PancakesError, U
 from pancakes.packet import LOG, SYSTEM, Cause
 from pancakes.tools.web.command_causes import CommandExplainer, FleetTraces
 from pancakes.tools.web.feed import FRAMES_HZ, Feed
+from pancakes.tools.web.packet_follower import PacketFollower
 
 TURN_S: Final = 0.04
 """How often arrived packets are taken, in seconds."""
@@ -35,7 +36,7 @@ MOST_ANSWERS: Final = 20
 ENDED_S: Final = 1.0
 """Without any agent for this long, the fleet is shown as ended, in seconds."""
 ENDED: Final = "the fleet has ended: none of its agents can be reached. You can still look at the timeline"
-FOLLOWED: Final = ("battery", "ir", "motion", "sonar", "world_state")
+FOLLOWED: Final = ("battery", "ir", "laser_scan", "motion", "sonar", "world_state")
 POSES: Final = ("pose",)
 
 
@@ -110,6 +111,7 @@ class Watch:
         self._stopping = threading.Event()
         self._orders: deque[tuple[str, Any, float, Future[Reply]]] = deque()
         self._thread = threading.Thread(target=self._run, name="page-watch", daemon=True)
+        self._follower = PacketFollower(feed, at, lambda: self._fleet, timeout_s)
         self._asked: list[_PendingRequest] = []
         self._met: dict[str, _MetAgent] = {}
         self._rates = RateMeter()
@@ -122,10 +124,12 @@ class Watch:
     def start(self) -> None:
         """Begin to watch; wait for agents that have not started yet."""
         self._thread.start()
+        self._follower.start()
 
     def close(self) -> None:
         """Leave the fleet. Not from its own thread."""
         self._stopping.set()
+        self._follower.close()
         if self._thread.ident is not None:
             self._thread.join()
 

@@ -12,7 +12,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from pancakes.settings import NotNegative, Positive
+from pancakes import NotNegative, Positive
 from pancakes_encirclement.angles import wrap
 
 Point = tuple[float, float]

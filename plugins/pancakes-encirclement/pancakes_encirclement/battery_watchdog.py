@@ -7,11 +7,9 @@ from typing import Annotated
 
 from msgspec import Meta
 
+from pancakes import SYSCTRL, SYSTEM, NotNegative, Packet, Task, on
 from pancakes.control import Reply, Reschedule
 from pancakes.devices import Battery
-from pancakes.packet import SYSCTRL, SYSTEM, Packet
-from pancakes.settings import NotNegative
-from pancakes.task import Task, on
 
 CHARGED_ABOVE = 0.02
 """The battery must rise this far above the threshold before falling below it counts again."""

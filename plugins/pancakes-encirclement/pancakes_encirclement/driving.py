@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
+from pancakes import SYSTEM, Packet, Task, agent_of, on
 from pancakes.devices import Infrared, Sonar
-from pancakes.packet import SYSTEM, Packet, agent_of
-from pancakes.task import Task, on
 from pancakes_encirclement.avoidance import Avoidance
 from pancakes_encirclement.steering import Steering
 

@@ -10,7 +10,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final
 
-from pancakes.errors import PancakesError
+from pancakes import PancakesError
 from pancakes.tools.demo import Run
 from pancakes.tools.demo.mission_record import read_lines
 from pancakes_encirclement.record import Record, Row, read_record

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from pancakes.errors import PancakesError
+from pancakes import PancakesError
 from pancakes.tools.demo import Run
 from pancakes_encirclement.endurance import KINDS, Endurance, read_endurance
 

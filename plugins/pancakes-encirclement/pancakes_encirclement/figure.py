@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
-from pancakes.errors import PancakesError
+from pancakes import PancakesError
 from pancakes.tools.demo import Run
 from pancakes.tools.demo.mission_record import holders
 from pancakes_encirclement.record import Record, Row, read_record

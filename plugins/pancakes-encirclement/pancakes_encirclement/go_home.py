@@ -5,10 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
+from pancakes import CTRL, SYSTEM, Packet, Positive, on
 from pancakes.devices import Pose, Twist
-from pancakes.packet import CTRL, SYSTEM, Packet
-from pancakes.settings import Positive
-from pancakes.task import on
 from pancakes_encirclement.angles import wrap
 from pancakes_encirclement.driving import DrivingTask
 from pancakes_encirclement.homing import Homing

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from pancakes import Positive
 from pancakes.devices import Twist
-from pancakes.settings import Positive
 
 
 @dataclass(frozen=True)

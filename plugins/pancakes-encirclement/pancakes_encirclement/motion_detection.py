@@ -5,10 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from pancakes import NEIGHBOURS, SYSTEM, NotNegative, Packet, Task, agent_of, on
 from pancakes.devices import Motion, Pose
-from pancakes.packet import NEIGHBOURS, SYSTEM, Packet, agent_of
-from pancakes.settings import NotNegative
-from pancakes.task import Task, on
 from pancakes_encirclement.packets import MotionDetected
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from pancakes.migration import Cost, CostFacts
+from pancakes import Cost, CostFacts
 
 
 class Nearest(Cost):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import msgspec
 
-from pancakes.packet import packet_type
+from pancakes import packet_type
 
 
 @packet_type("encirclement.motion_detected")

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
+from pancakes import NEIGHBOURS, SYSTEM, Packet, Task, Tick, agent_of, every, on
 from pancakes.devices import Pose
-from pancakes.packet import NEIGHBOURS, SYSTEM, Packet, agent_of
-from pancakes.task import Task, Tick, every, on
 from pancakes_encirclement.packets import NeighbourPose
 
 

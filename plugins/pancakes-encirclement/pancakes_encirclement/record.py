@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
-from pancakes.errors import PancakesError
+from pancakes import PancakesError
 from pancakes.tools.demo.mission_record import MissionRecord, read_events, read_lines
 
 

@@ -73,8 +73,8 @@ def judge_rescue(run: Run, limits: RescueLimits = RescueLimits()) -> dict[str, A
 def read_guard(configs: Mapping[str, Mapping[str, Any]], scenario: Scenario) -> GuardedScan:
     """Read from the configurations how the circling task is guarded."""
     first = configs[scenario.first]
-    task, speed = first["tasks"][scenario.scan], float(first.get("clock", {}).get("speed", 1.0))
-    return GuardedScan(float(task["lease_s"]) * speed, float(task["checkpoint_s"]) * speed, speed)
+    rule, speed = first["tasks"][scenario.scan]["guard"], float(first.get("clock", {}).get("speed", 1.0))
+    return GuardedScan(float(rule["lease_s"]) * speed, float(rule["checkpoint_s"]) * speed, speed)
 
 
 def judge(record: Record, scenario: Scenario, guard: GuardedScan, run: Run, limits: RescueLimits) -> dict[str, Any]:

@@ -5,10 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from pancakes import CTRL, SYSTEM, Packet, Positive, agent_of, on
 from pancakes.devices import Pose, Twist
-from pancakes.packet import CTRL, SYSTEM, Packet, agent_of
-from pancakes.settings import Positive
-from pancakes.task import on
 from pancakes_encirclement.circle import Point, curvature, gap_behind, spaced_speed
 from pancakes_encirclement.driving import DrivingTask
 from pancakes_encirclement.laps import Laps, on_circle

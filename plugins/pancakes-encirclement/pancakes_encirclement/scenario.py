@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
-from pancakes.errors import PancakesError
+from pancakes import PancakesError
+from pancakes.settings import make_settings
+from pancakes.sim.bodies import RobotSettings, WorldSettings
 from pancakes.sim.robot_models import robot_model
+from pancakes.util.plugins import installed
 
 Table = Mapping[str, Any]
 
 SCAN = "encirclement.ScanTarget"
 HOME = "encirclement.GoHome"
 WATCHDOG = "encirclement.BatteryWatchdog"
-WORLD = "sim.world"
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,38 +65,58 @@ def read_scenario(configs: Mapping[str, Table]) -> Scenario:
     Raises:
         PancakesError: no agent simulates a world, or none has a `ScanTarget`.
     """
-    world = _find_task(configs, WORLD, "simulates a world")[2].get("settings", {})
-    first, scan, task = _find_task(configs, SCAN, "has a task that goes round")
-    arena = world.get("arena", {})
+    world = _find_world(configs)
+    first, scan, task = _find_scan(configs)
     return Scenario(
         first=first,
-        robots=tuple(world.get("robots", {})),
-        sensor=next(iter(world.get("sensors", {})), ""),
-        movers=tuple(world.get("movers", {})),
+        robots=tuple(world.robots),
+        sensor=next(iter(world.sensors), ""),
+        movers=tuple(world.movers),
         scan=scan,
         home=next((name for name, other in _tasks(configs[first]) if other.get("type") == HOME), ""),
         radius_m=float(task.get("settings", {}).get("radius_m", 0.55)),
-        half_width_m=0.5 * float(arena.get("width_m", 5.0)),
-        half_height_m=0.5 * float(arena.get("height_m", 4.0)),
-        battery_v={name: _voltages(robot) for name, robot in world.get("robots", {}).items()},
+        half_width_m=0.5 * world.arena.width_m,
+        half_height_m=0.5 * world.arena.height_m,
+        battery_v={name: _voltages(robot) for name, robot in world.robots.items()},
         watched_levels=_levels(configs[first], task),
     )
 
 
-def _find_task(configs: Mapping[str, Table], kind: str, does: str) -> tuple[str, str, Table]:
+def _find_world(configs: Mapping[str, Table]) -> WorldSettings:
+    """Return the contents of the world: the settings of the task whose settings are such contents.
+
+    Any world will do, of whatever distribution.
+    """
+    plugins = installed()
+    for config in configs.values():
+        for _, task in _tasks(config):
+            try:
+                settings: type = plugins.get("pancakes.tasks", str(task.get("type"))).Settings
+            except PancakesError:
+                continue  # it is not installed here, so it is no world that could be read
+            if issubclass(settings, WorldSettings):
+                known = {field.name for field in fields(settings)}  # a record may be of another version
+                given = {key: value for key, value in task.get("settings", {}).items() if key in known}
+                return make_settings(settings, given)
+    raise PancakesError(f"none of the agents {', '.join(configs)} simulates a world that is installed here")
+
+
+def _find_scan(configs: Mapping[str, Table]) -> tuple[str, str, Table]:
     for agent, config in configs.items():
         for name, task in _tasks(config):
-            if task.get("type") == kind:
+            if task.get("type") == SCAN:
                 return agent, name, task
-    raise PancakesError(f"none of the agents {', '.join(configs)} {does}: no task is of the type {kind!r}")
+    raise PancakesError(
+        f"none of the agents {', '.join(configs)} has a task that goes round: no task is of the type {SCAN!r}"
+    )
 
 
 def _tasks(config: Table) -> Iterator[tuple[str, Table]]:
     yield from config.get("tasks", {}).items()
 
 
-def _voltages(robot: Table) -> tuple[float, float]:
-    model = robot_model(robot.get("model", "khepera3"))
+def _voltages(robot: RobotSettings) -> tuple[float, float]:
+    model = robot_model(robot.model)
     return model.full_v, model.empty_v
 
 

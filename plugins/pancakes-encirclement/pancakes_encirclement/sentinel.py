@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from pancakes import LOG, SYSCTRL, SYSTEM, Packet, Task, agent_of, on
 from pancakes.control import Reply, Start
 from pancakes.events import Event
-from pancakes.packet import LOG, SYSCTRL, SYSTEM, Packet, agent_of
-from pancakes.task import Task, on
 from pancakes_encirclement.packets import MotionDetected
 
 ENDINGS = ("task_stopped", "task_given_up")

@@ -12,9 +12,8 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from msgspec import Meta
 
+from pancakes import Actuator, DeviceContext, PancakesError
 from pancakes.devices import Twist
-from pancakes.devices.driver import Actuator, DeviceContext
-from pancakes.errors import PancakesError
 from pancakes_mqtt.broker_settings import BrokerSettings
 from pancakes_mqtt.forms import FORMS, FormName, dark_payload, fault_of_device, light_payload, named
 from pancakes_mqtt.message import Message

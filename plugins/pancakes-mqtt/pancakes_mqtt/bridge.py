@@ -17,11 +17,11 @@ from typing import Annotated, Any, Final
 
 import msgspec
 
+from pancakes import SYSCTRL, SYSTEM, Packet, PancakesError, Service, agent_of
 from pancakes.devices.driver import Pace
-from pancakes.errors import MailboxFullError, PancakesError
+from pancakes.errors import MailboxFullError
 from pancakes.kernel.handlers import drop_oldest
-from pancakes.packet import CORE_CHANNELS, SYSCTRL, SYSTEM, Packet, agent_of, body_class, field_names, known_types
-from pancakes.service import Service
+from pancakes.packet import CORE_CHANNELS, body_class, field_names, known_types
 from pancakes.util.text import hint_of
 from pancakes_mqtt.arrivals import Arrivals
 from pancakes_mqtt.bridge_tables import PublishRow, TakeRow

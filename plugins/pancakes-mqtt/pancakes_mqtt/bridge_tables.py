@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Final, Literal
 
-from pancakes.packet import LOG, NETWORK, SYSCTRL, SYSTEM
-from pancakes.settings import Positive
+from pancakes import LOG, NETWORK, SYSCTRL, SYSTEM, Positive
 from pancakes.util.text import fault_of_name
 from pancakes_mqtt.message import Qos
 from pancakes_mqtt.topics import fault_of_filter, fault_of_retained, fault_of_template

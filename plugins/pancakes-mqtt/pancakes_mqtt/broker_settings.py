@@ -11,8 +11,7 @@ from urllib.parse import urlsplit
 
 import msgspec
 
-from pancakes.errors import PancakesError
-from pancakes.settings import FilePath
+from pancakes import FilePath, PancakesError
 from pancakes.util.files import check_plain
 
 PORTS: Final = {"mqtt": 1883, "mqtts": 8883}

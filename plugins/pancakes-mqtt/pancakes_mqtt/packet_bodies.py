@@ -8,8 +8,9 @@ from typing import Any
 
 from msgspec import inspect
 
+from pancakes import Packet
 from pancakes.errors import RemoteProtocolError
-from pancakes.packet import Packet, body_class, body_from_plain, body_to_plain, field_names
+from pancakes.packet import body_class, body_from_plain, body_to_plain, field_names
 from pancakes.settings import required_keys
 from pancakes.util import codecs
 from pancakes_mqtt.payloads import BadPayload, number_of, plain_json, truth_of, value_at

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import msgspec
 
-from pancakes.packet import packet_type
+from pancakes import packet_type
 
 
 @packet_type("mqtt.number")

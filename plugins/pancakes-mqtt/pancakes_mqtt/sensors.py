@@ -11,11 +11,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Literal
 
+from pancakes import DeviceContext, PancakesError, Positive, Sensor
 from pancakes.devices import Battery, Motion, Pose, Sonar, Temperature
-from pancakes.devices.driver import DeviceContext, Pace, Sensor
+from pancakes.devices.driver import Pace
 from pancakes.devices.validation import level_of
-from pancakes.errors import PancakesError
-from pancakes.settings import Positive
 from pancakes_mqtt.broker_settings import BrokerSettings
 from pancakes_mqtt.forms import FORMS, FormName, Saying, fault_of_device, named
 from pancakes_mqtt.message import Message, Qos

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 
-from pancakes.devices.driver import DeviceContext
+from pancakes import DeviceContext
 from pancakes_mqtt.broker_connection import BrokerConnection, Say
 from pancakes_mqtt.broker_settings import BrokerSettings
 from pancakes_mqtt.message import Message

@@ -6,7 +6,7 @@ import socket
 import ssl
 from typing import Any
 
-from pancakes.errors import PancakesError
+from pancakes import PancakesError
 from pancakes_mqtt.broker_settings import BrokerSettings
 
 

@@ -1,82 +1,26 @@
 """What a packet is as a message of ROS 2, and a message as a packet. Pure: messages are what has their fields.
 
-Lengths are metres, angles radians counter-clockwise (REP 103) and times seconds on both sides.
+Lengths are metres, angles radians counter-clockwise (REP 103) and times seconds on both sides. Encoders, IMU, GPS fix,
+laser scan, camera and 3-D poses are in `sensor_conversion.py`.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 from pancakes.devices import Battery, Infrared, Motion, Pose, Sonar, Temperature, Twist
 from pancakes.devices.validation import level_of
 from pancakes.errors import PancakesError
+from pancakes_ros2.message_fields import Conversion, Moment, Unusable, finite, not_read, stamp, yaw
+from pancakes_ros2.sensor_conversion import ODOMETRY, POSE, POSE_COVARIANCE, SCAN, SENSORS
 
 INFRARED: Final = 1
 ULTRASOUND: Final = 0
 """`radiation_type` of sensor_msgs/Range."""
 EQUAL_RAD: Final = 1e-3
 """Steps of a ring that differ by less are equal."""
-
-
-class Unusable(PancakesError):
-    """A message or packet says what the other side cannot be told."""
-
-
-class Moment(NamedTuple):
-    """When a message was made, by the node's clock, and the frame of reference that it is in."""
-
-    sec: int
-    nanosec: int
-    frame: str
-
-
-def not_read(message: Any) -> Any:
-    """Stands for a message that no packet is read from.
-
-    Raises:
-        Unusable: always.
-    """
-    raise Unusable("no packet is read from such a message")
-
-
-@dataclass(frozen=True)
-class Conversion:
-    """How packets of a type and messages of a type become each other.
-
-    Attributes:
-        read: makes the body of a packet of a message; raises `Unusable`. `not_read`: there is no way.
-        write: fills a message from the body of a packet; its last argument is the number of the part.
-        parts: how many messages one body becomes, each on a topic of its own; None: one, on the topic itself.
-    """
-
-    read: Callable[[Any], Any]
-    write: Callable[[Any, Any, Moment, int], None]
-    parts: Callable[[Any], int] | None = None
-
-
-def yaw(orientation: Any) -> float:
-    """Returns the heading of a quaternion, in (-pi, pi]."""
-    x, y, z, w = orientation.x, orientation.y, orientation.z, orientation.w
-    heading = math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
-    return math.pi if heading == -math.pi else heading
-
-
-def stamp(header: Any, moment: Moment) -> None:
-    """Fills a std_msgs/Header."""
-    header.stamp.sec, header.stamp.nanosec, header.frame_id = moment
-
-
-def finite(what: str, *values: float) -> None:
-    """Refuses what is no number.
-
-    Raises:
-        Unusable: one of the values is NaN or infinite.
-    """
-    if not all(map(math.isfinite, values)):
-        raise Unusable(f"{what} is not finite ({', '.join(f'{value:g}' for value in values)})")
 
 
 def read_pose(pose: Any) -> Pose:
@@ -176,6 +120,8 @@ def _read_scan(kind: type[Infrared] | type[Sonar]) -> Callable[[Any], Any]:
 
 def _write_scan(message: Any, body: Infrared | Sonar, moment: Moment, part: int) -> None:
     bearings = body.bearings_rad
+    if not bearings:
+        raise Unusable("no sensor of the ring measured anything")
     step = (bearings[-1] - bearings[0]) / max(1, len(bearings) - 1)
     if any(abs(bearing - bearings[0] - number * step) > EQUAL_RAD for number, bearing in enumerate(bearings)):
         raise Unusable("its rays do not stand at equal steps, as those of a LaserScan do: use sensor_msgs/msg/Range")
@@ -219,13 +165,9 @@ def _count(body: Infrared | Sonar) -> int:
     return len(body.ranges_m)
 
 
-ODOMETRY: Final = "nav_msgs/msg/Odometry"
-POSE: Final = "geometry_msgs/msg/PoseStamped"
-POSE_COVARIANCE: Final = "geometry_msgs/msg/PoseWithCovarianceStamped"
 TWIST: Final = "geometry_msgs/msg/Twist"
 TWIST_STAMPED: Final = "geometry_msgs/msg/TwistStamped"
 BATTERY: Final = "sensor_msgs/msg/BatteryState"
-SCAN: Final = "sensor_msgs/msg/LaserScan"
 RANGE: Final = "sensor_msgs/msg/Range"
 BOOL: Final = "std_msgs/msg/Bool"
 TEMPERATURE: Final = "sensor_msgs/msg/Temperature"
@@ -243,12 +185,13 @@ CONVERSIONS: Final = {
     ("sonar", RANGE): Conversion(not_read, _write_range(ULTRASOUND), _count),
     ("motion", BOOL): Conversion(lambda message: Motion(message.data), _write_motion),
     ("temperature", TEMPERATURE): Conversion(_read_temperature, _write_temperature),
+    **SENSORS,
 }
 """By packet type and message type: what the devices of the core are in ROS 2."""
 
 
 def messages_of(packet: str) -> Sequence[str]:
-    """Returns the message types that packets of a type are read from."""
+    """Returns the message types of which one message is read as a packet of a type."""
     return [
         kind for (name, kind), conversion in CONVERSIONS.items() if name == packet and conversion.read is not not_read
     ]

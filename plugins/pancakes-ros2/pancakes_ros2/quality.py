@@ -31,6 +31,10 @@ class Quality:
 
 READING: Final = Quality("best_effort", depth=5)
 """For readings: the newest counts."""
+MOVING: Final = Quality(depth=100)
+"""For /tf: each transform counts, and many publishers share the topic."""
+STATIC: Final = Quality(durability="transient_local", depth=100)
+"""For /tf_static: a reader that comes late gets the transforms too."""
 COMMAND: Final = Quality(depth=1)
 """For commands: each arrives, and none is obeyed late."""
 

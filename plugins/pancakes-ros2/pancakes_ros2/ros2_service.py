@@ -24,6 +24,7 @@ from pancakes.kernel.handlers import QueuePolicy, Tick, every, on
 from pancakes.packet import LOG, SYSCTRL, Packet, agent_of
 from pancakes.service import Service
 from pancakes_ros2.lifecycle_states import state_of
+from pancakes_ros2.log_messages import LOG_LEVELS, LOG_MESSAGE, log_text
 from pancakes_ros2.node_table import NODES
 from pancakes_ros2.quality import Quality
 from pancakes_ros2.ros_node import Outlet, RosNode
@@ -34,8 +35,6 @@ from pancakes_ros2.topic_row import TopicRow
 
 CORE: Final = ("device", "network", "log")
 """The services whose tasks are no nodes."""
-LOG_LEVELS: Final = {"debug": 10, "info": 20, "warning": 30, "error": 40}
-LOG_MESSAGE: Final = "rcl_interfaces/msg/Log"
 LOG_QUALITY: Final = Quality("reliable", "transient_local", 1000, 10.0)
 """As all nodes of ROS 2 have it on /rosout."""
 PATIENCE_S: Final = 3.0
@@ -158,16 +157,12 @@ class Ros2Service(Service):
         while out is not None and out.ready and self._unsaid:
             packet = self._unsaid.popleft()
             body = packet.body
-            if isinstance(body, LogLine):
-                text = body.text
-            elif isinstance(body, Event):
-                text = " ".join([body.kind, *(f"{key}={value}" for key, value in body.fields.items())])
-            else:
+            if not isinstance(body, (LogLine, Event)):
                 continue
             message = out.new()
-            message.stamp.sec, message.stamp.nanosec, _ = out.moment("")
+            message.stamp.sec, message.stamp.nanosec = out.moment("")[:2]
             message.level = LOG_LEVELS[level_of(body)]
-            message.name, message.msg = packet.source, text
+            message.name, message.msg = packet.source, log_text(body)
             out.publish(message)
 
     # Tasks as nodes --------------------------------------------------------------------------------------------

@@ -12,8 +12,8 @@ from collections.abc import Callable
 from typing import Any
 
 from pancakes.errors import PancakesError
-from pancakes_ros2.conversion import Moment
 from pancakes_ros2.installation import have_fields_checked, message_class
+from pancakes_ros2.message_fields import Moment
 from pancakes_ros2.quality import Quality, profile_of
 
 Failed = Callable[[str], None]
@@ -66,10 +66,10 @@ class Outlet:
         """How many readers it has."""
         return int(self._publisher.get_subscription_count()) if self._publisher is not None else 0
 
-    def moment(self, frame: str) -> Moment:
+    def moment(self, frame: str, child: str = "") -> Moment:
         """Returns the time of the node's clock, for a message in a frame of reference; only where it is `ready`."""
         seconds, nanoseconds = divmod(self._clock.now().nanoseconds, 1_000_000_000)
-        return Moment(seconds, nanoseconds, frame)
+        return Moment(seconds, nanoseconds, frame, child)
 
     def new(self) -> Any:
         """Returns an empty message of its type; only where it is `ready`."""

@@ -15,20 +15,20 @@ from pancakes_ros2.conversion import (
     BATTERY,
     BOOL,
     CONVERSIONS,
-    ODOMETRY,
     RANGE,
-    SCAN,
     TEMPERATURE,
-    Unusable,
     messages_of,
     read_battery,
     read_range,
 )
+from pancakes_ros2.frame_tree import FrameTree
 from pancakes_ros2.installation import checked_type
+from pancakes_ros2.message_fields import Unusable
 from pancakes_ros2.newest import Newest
 from pancakes_ros2.node_table import NODES, fail
-from pancakes_ros2.quality import READING, Quality
+from pancakes_ros2.quality import MOVING, READING, STATIC, Quality
 from pancakes_ros2.ros_node import Inlet, RosNode
+from pancakes_ros2.sensor_conversion import FIX, IMAGE, IMU, JOINTS, ODOMETRY, SCAN, STATIC_TOPIC, TRANSFORMS
 from pancakes_ros2.sweeps import Sweeps
 
 MOST_HZ = 100.0
@@ -150,25 +150,81 @@ class RosSensor(NetworkSensor):
             self.context.log("warning", text)
 
 
-def _refuse_message(settings: RosSensor.Settings, packet: str) -> None:
-    known = messages_of(packet)
+def _refuse_message(settings: RosSensor.Settings, packet: str, others: tuple[str, ...] = ()) -> None:
+    known = [*messages_of(packet), *others]
     if settings.message and settings.message not in known:
         raise ValueError(f"message = {settings.message!r}: no {packet} is read from that, but from {', '.join(known)}")
 
 
-class RosPose(RosSensor):
-    """Where a robot is: by its odometry, by amcl, or by whatever publishes its pose (`ros2.pose`)."""
+class RosFramed(RosSensor):
+    """A pose: by odometry, by amcl, by whatever publishes it, or by tf."""
 
-    type = "pose"
     usual = ODOMETRY
 
     @dataclass
     class Settings(RosSensor.Settings):
+        """What it listens to.
+
+        Attributes:
+            topic: its topic, of tf `/tf` if left out; one that does not begin with a slash is below `/AGENT`.
+            frame: of tf, the frame that the pose is in; `map` if left out.
+            child_frame: of tf, the frame that it is the pose of; `base_link` if left out.
+        """
+
         topic: str = "odom"
+        frame: str = ""
+        child_frame: str = ""
 
         def __post_init__(self) -> None:
             super().__post_init__()
-            _refuse_message(self, "pose")
+            _refuse_message(self, "pose", (TRANSFORMS,))
+            if self.message != TRANSFORMS:
+                if self.frame or self.child_frame:
+                    raise ValueError(f"frame and child_frame choose transforms of tf: set message = {TRANSFORMS!r}")
+                return
+            if self.topic == "odom":
+                self.topic = "/tf"
+            if self.qos == READING:
+                self.qos = MOVING
+            self.frame, self.child_frame = self.frame or "map", self.child_frame or "base_link"
+            if self.frame == self.child_frame:
+                raise ValueError(f"frame and child_frame are both {self.frame!r}")
+
+    settings: Settings
+    _tree: FrameTree | None = None
+
+    def listen(self, node: RosNode) -> None:
+        if self.settings.message != TRANSFORMS:
+            super().listen(node)
+            return
+        tree = self._tree = FrameTree(self.settings.frame, self.settings.child_frame)  # only the node's thread uses it
+
+        def heard(message: Any) -> None:
+            pose, faults = tree.hear(message)
+            for fault in faults:
+                self._warn(f"a transform of {self.settings.topic} is left out: {fault}")
+            if pose is not None:
+                self._came.put(pose if self.type == "pose_3d" else pose.flat())
+
+        static = Inlet(node, TRANSFORMS, STATIC_TOPIC, STATIC, heard, self._fail, self._warn)
+        self._inlets = [self.inlet(node, TRANSFORMS, self.settings.topic, heard), static]
+
+    def silent(self) -> None:
+        if self._heard and self._tree is not None and self._node is not None:
+            self._tree.explain(self._node.do, self._warn)
+        super().silent()
+
+
+class RosPose(RosFramed):
+    """Where a robot is: by its odometry, by amcl, by tf, or by whatever publishes its pose (`ros2.pose`)."""
+
+    type = "pose"
+
+
+class RosPose3D(RosFramed):
+    """Where a robot is in space, and in which frame: by its odometry, by tf, ... (`ros2.pose_3d`)."""
+
+    type = "pose_3d"
 
 
 class RosBattery(RosSensor):
@@ -239,6 +295,81 @@ class RosTemperature(RosSensor):
         def __post_init__(self) -> None:
             super().__post_init__()
             _refuse_message(self, "temperature")
+
+
+class RosEncoders(RosSensor):
+    """The joints of a robot, such as its wheels (`ros2.encoders`)."""
+
+    type = "encoders"
+    usual = JOINTS
+
+    @dataclass
+    class Settings(RosSensor.Settings):
+        topic: str = "joint_states"
+
+        def __post_init__(self) -> None:
+            super().__post_init__()
+            _refuse_message(self, "encoders")
+
+
+class RosImu(RosSensor):
+    """An inertial measurement unit (`ros2.imu`)."""
+
+    type = "imu"
+    usual = IMU
+
+    @dataclass
+    class Settings(RosSensor.Settings):
+        topic: str = "imu"
+
+        def __post_init__(self) -> None:
+            super().__post_init__()
+            _refuse_message(self, "imu")
+
+
+class RosGpsFix(RosSensor):
+    """A receiver of GPS or another satellite system (`ros2.gps_fix`)."""
+
+    type = "gps_fix"
+    usual = FIX
+
+    @dataclass
+    class Settings(RosSensor.Settings):
+        topic: str = "fix"
+
+        def __post_init__(self) -> None:
+            super().__post_init__()
+            _refuse_message(self, "gps_fix")
+
+
+class RosLaserScan(RosSensor):
+    """A laser scanner (`ros2.laser_scan`)."""
+
+    type = "laser_scan"
+    usual = SCAN
+
+    @dataclass
+    class Settings(RosSensor.Settings):
+        topic: str = "scan"
+
+        def __post_init__(self) -> None:
+            super().__post_init__()
+            _refuse_message(self, "laser_scan")
+
+
+class RosCamera(RosSensor):
+    """A camera that publishes JPEG images (`ros2.camera`)."""
+
+    type = "camera"
+    usual = IMAGE
+
+    @dataclass
+    class Settings(RosSensor.Settings):
+        topic: str = "image_raw/compressed"
+
+        def __post_init__(self) -> None:
+            super().__post_init__()
+            _refuse_message(self, "camera")
 
 
 class RosRing(RosSensor):

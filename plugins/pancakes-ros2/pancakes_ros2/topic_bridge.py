@@ -7,8 +7,11 @@ from typing import Any, Final
 
 from pancakes.devices.driver import Pace
 from pancakes.errors import PancakesError
+from pancakes_ros2.frame_tree import FrameTree
 from pancakes_ros2.newest import Newest
+from pancakes_ros2.quality import STATIC, Quality
 from pancakes_ros2.ros_node import Inlet, Outlet, RosNode
+from pancakes_ros2.sensor_conversion import STATIC_TOPIC
 from pancakes_ros2.topic_row import TopicRow
 
 WAITING: Final = 100
@@ -48,7 +51,8 @@ class TopicBridge:
         self._pace = Pace(row.max_hz)
         self._came: Newest[Any] = Newest(WAITING, lambda: call(self._take))
         self._outlets: dict[int | None, Outlet] = {}
-        self._inlet: Inlet | None = None
+        self._inlets: list[Inlet] = []
+        self._tree = FrameTree(*row.frames(agent)) if row.direction == "in" and row.composes else None
         self._node: RosNode | None = None
         self._told_s: dict[str, float] = {}
         self._left_out = 0
@@ -58,24 +62,39 @@ class TopicBridge:
         """Begins."""
         self._node = node
         if self.row.direction == "in":
-            self._inlet = Inlet(
-                node, self.row.message, self.row.topic, self.row.qos, self._came.put, self.complain, self.complain
-            )
+            self._listen(node, self.row.topic, self.row.qos)
+            if self._tree is not None:
+                self._listen(node, STATIC_TOPIC, STATIC)
         elif self.row.conversion is None or self.row.conversion.parts is None:
             self._outlet(None)  # else it is known with the first packet how many there are
+
+    def _listen(self, node: RosNode, topic: str, qos: Quality) -> None:
+        heard = self._came.put if self._tree is None else self._heard_transforms
+        self._inlets.append(Inlet(node, self.row.message, topic, qos, heard, self.complain, self.complain))
+
+    def _heard_transforms(self, message: Any) -> None:
+        """Take transforms, each of which counts; in the node's thread, which has all topics of tf."""
+        assert self._tree is not None
+        pose, faults = self._tree.hear(message)
+        for fault in faults:
+            self.complain(f"a transform of {self.row.topic} is left out: {fault}")
+        if pose is not None:
+            self._came.put(pose)
 
     def close(self) -> None:
         """Ends."""
         self._node = None
-        if self._inlet is not None:
-            self._inlet.close()
+        for inlet in self._inlets:
+            inlet.close()
         for outlet in self._outlets.values():
             outlet.close()
 
     def explain(self) -> None:
         """Says why nothing has come, where nothing has."""
-        if self._inlet is not None and not self.passed:
-            self._inlet.explain(self.complain)
+        if self._inlets and not self.passed:
+            self._inlets[0].explain(self.complain)
+            if self._tree is not None and self._node is not None:
+                self._tree.explain(self._node.do, self.complain)
 
     def complain(self, text: str) -> None:
         """Logs a sentence, and the same one again no sooner than after a while. Any thread."""
@@ -95,9 +114,9 @@ class TopicBridge:
                 outlet = self._outlet(part)
                 if not outlet.ready:
                     continue
-                frame = row.frame or self._agent
+                frame, child = row.frames(self._agent)
                 message = outlet.new()
-                moment = outlet.moment(frame if part is None else f"{frame}/{row.packet}_{part}")
+                moment = outlet.moment(frame if part is None else f"{frame}/{row.packet}_{part}", child)
                 row.write(message, body, moment, part or 0)
                 outlet.publish(message)
         except PancakesError as error:
@@ -123,13 +142,18 @@ class TopicBridge:
             if not self._passes():
                 continue
             try:
-                self._publish(self.row.channel, self.row.read(message))
+                self._publish(self.row.channel, self._read(message))
             except PancakesError as error:
                 self.complain(f"a message of {self.row.topic} does not become a packet: {error}")
             else:
                 self.passed += 1
         if self._left_out:
             self._tell_flood()
+
+    def _read(self, came: Any) -> Any:
+        if self._tree is None:
+            return self.row.read(came)
+        return came if self.row.packet == "pose_3d" else came.flat()
 
     def _passes(self) -> bool:
         if self._pace.due(self._now()):

@@ -12,10 +12,12 @@ from msgspec import Meta
 from pancakes.errors import PancakesError
 from pancakes.packet import body_class, body_from_plain, body_to_plain, known_types
 from pancakes.util.text import suggestion
-from pancakes_ros2.conversion import CONVERSIONS, Conversion, Moment, Unusable, not_read
-from pancakes_ros2.installation import checked_type
+from pancakes_ros2.conversion import CONVERSIONS
+from pancakes_ros2.installation import checked_type, message_class
+from pancakes_ros2.message_fields import Conversion, Moment, Unusable, not_read
 from pancakes_ros2.quality import Quality
 from pancakes_ros2.ros_message import RosMessage, fill, plain_of, put_at, value_at
+from pancakes_ros2.sensor_conversion import TRANSFORM, TRANSFORMS
 
 ANY: Final = "ros2.message"
 Hz = Annotated[float, Meta(gt=0)]
@@ -33,7 +35,9 @@ class TopicRow:
         channel: the channel of the packets.
         fields: which field of the message is which of the packet, by dotted names; for types that are no devices of
             Pancakes. Without it, fields of one name are one field.
-        frame: the frame of reference that a message with a header names; empty: the agent's name.
+        frame: the frame of reference that a message with a header names; empty: the agent's name, of a transform `map`.
+            Of transforms with the direction `in`: the frame that the poses are in.
+        child_frame: of transforms, the frame of the body; empty: the agent's name.
         max_hz: so many a second pass, where more come; the others are left out.
         include_remote: of `out`: whether packets of other agents count that come to that channel.
         qos: how the messages are delivered.
@@ -46,6 +50,7 @@ class TopicRow:
     channel: str = "system"
     fields: dict[str, str] = field(default_factory=dict)
     frame: str = ""
+    child_frame: str = ""
     max_hz: Hz = 100.0
     include_remote: bool = False
     qos: Quality = Quality()
@@ -54,7 +59,18 @@ class TopicRow:
         object.__setattr__(self, "message", checked_type(self.message))
         if self.fields and self.packet == ANY:
             raise ValueError(f"fields: a packet of the type {ANY!r} has those of the message; name another type")
+        if self.child_frame and self.message not in (TRANSFORM, TRANSFORMS):
+            raise ValueError(f"child_frame: only {TRANSFORM} and {TRANSFORMS} name one, not {self.message}")
+        if self.frame and self.frame == self.child_frame:
+            raise ValueError(f"frame and child_frame are both {self.frame!r}")
+        if self.direction == "out" and self.topic == "/tf_static" and self.qos.durability != "transient_local":
+            raise ValueError(
+                "topic = '/tf_static': its readers come later, so it needs"
+                ' qos = { durability = "transient_local", depth = 1 }'
+            )
         if self.direction == "in" and self.conversion is not None and self.conversion.read is not_read:
+            if self.composes:
+                return
             raise ValueError(
                 f"direction = 'in': {self.packet} is not read from {self.message} here; a device with the driver"
                 f" ros2.{self.packet} does so, from a topic for each sensor"
@@ -64,6 +80,20 @@ class TopicRow:
     def conversion(self) -> Conversion | None:
         """How the devices of Pancakes are read and written; None: field by field."""
         return None if self.fields else CONVERSIONS.get((self.packet, self.message))
+
+    @property
+    def composes(self) -> bool:
+        """Whether its messages are transforms of tf, of which several together are a pose."""
+        return self.message == TRANSFORMS and self.packet in ("pose", "pose_3d") and not self.fields
+
+    def frames(self, agent: str) -> tuple[str, str]:
+        """Return the frame of its messages, and that of the body.
+
+        Args:
+            agent: the agent's name.
+        """
+        is_transform = self.message in (TRANSFORM, TRANSFORMS)
+        return self.frame or ("map" if is_transform else agent), self.child_frame or agent
 
     def check_packet(self) -> None:
         """Makes sure that there is its packet type.
@@ -106,6 +136,9 @@ class TopicRow:
         """
         conversion = self.conversion
         if conversion is not None:
+            if conversion.item is not None:
+                items, kind = conversion.item
+                setattr(message, items, [message_class(kind)()])
             conversion.write(message, body, moment, part)
             return
         if isinstance(body, RosMessage):
@@ -118,7 +151,7 @@ class TopicRow:
             plain = _renamed(plain, ((theirs, ours) for ours, theirs in self.fields.items()))
         _check_finite(plain, "")
         if hasattr(message, "header") and "header" not in plain:
-            message.header.stamp.sec, message.header.stamp.nanosec, message.header.frame_id = moment
+            message.header.stamp.sec, message.header.stamp.nanosec, message.header.frame_id = moment[:3]
         fill(message, plain)
 
 

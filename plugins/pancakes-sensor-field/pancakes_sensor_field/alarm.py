@@ -5,9 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from pancakes.packet import NEIGHBOURS, SYSTEM, Packet
-from pancakes.settings import Positive
-from pancakes.task import Task, Tick, every, on
+from pancakes import NEIGHBOURS, SYSTEM, Packet, Positive, Task, Tick, every, on
 from pancakes_sensor_field.fusion import FusionSettings, Situation, judge, remember
 from pancakes_sensor_field.packets import AlarmCleared, AlarmRaised, Report
 

@@ -14,12 +14,10 @@ from typing import Annotated, Any
 
 from msgspec import Meta
 
+from pancakes import SYSTEM, Actuator, DeviceContext, FilePath, Hardware, NetworkSensor, Packet, Positive, Sensor
 from pancakes.config import parse_address
 from pancakes.devices import Motion, Temperature
-from pancakes.devices.builtin_drivers import NetworkSensor
-from pancakes.devices.driver import Actuator, DeviceContext, Hardware, Sensor
-from pancakes.packet import SYSTEM, Packet, join
-from pancakes.settings import FilePath, Positive
+from pancakes.packet import join
 from pancakes.sim.drivers import SimulatedSensor
 from pancakes_sensor_field.frame import SIREN, TEMPERATURE, Frame, encode
 from pancakes_sensor_field.lines import Line, Reply, SerialLine, TcpLine, UdpLine

@@ -5,12 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
+from pancakes import LOG, SYSCTRL, SYSTEM, NotNegative, Packet, Positive, Task, agent_of, on
 from pancakes.control import Describe, Reply, Reschedule, Start, Stop
 from pancakes.events import Event
 from pancakes.kernel.timer import OneShot
-from pancakes.packet import LOG, SYSCTRL, SYSTEM, Packet, agent_of, join
-from pancakes.settings import NotNegative, Positive
-from pancakes.task import Task, on
+from pancakes.packet import join
 from pancakes_sensor_field.drivers import PeriodS
 from pancakes_sensor_field.duty import Duty
 from pancakes_sensor_field.packets import Activity, AlarmRaised, ReportPeriod

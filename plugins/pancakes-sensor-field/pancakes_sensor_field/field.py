@@ -9,15 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, Final
 
-import msgspec
-
+from pancakes import SYSTEM, PancakesError, Tick, every
 from pancakes.devices import Battery, Motion, Temperature
-from pancakes.errors import PancakesError
-from pancakes.packet import SYSTEM
-from pancakes.sim.battery import BatteryModel
-from pancakes.sim.hardware_bus import Attach, Attached, BusServer, Reading, Refused, Reply, Request, Sample
-from pancakes.sim.world_state import BodyState, WorldState
-from pancakes.task import Task, Tick, every
+from pancakes.worlds import BatteryModel, BodyState, SimulatedWorld, WorldState
 from pancakes_sensor_field.packets import FieldTruth, NodeTruth
 from pancakes_sensor_field.physics import NodeSettings, Scene, SceneSettings
 
@@ -27,7 +21,7 @@ EMPTY_V: Final = 3.3
 """Voltages of a lithium cell."""
 
 
-class Field(Task):
+class Field(SimulatedWorld):
     """The simulated field.
 
     It publishes `world_state` and `sensor_field.truth` on its own `system`, 5 times a second unless `rate_hz` is set.
@@ -44,7 +38,6 @@ class Field(Task):
         bus: str = "tcp://127.0.0.1:7499"
 
     settings: Settings
-    _server: BusServer | None = None
 
     def on_start(self) -> None:
         self._scene = Scene(self.settings)
@@ -54,35 +47,27 @@ class Field(Task):
             if node.battery is not None
         }
         self._now_s = self.now()
-        self._server = BusServer(self._actor.kernel.transport, self.call, self._serve, self.log)
-        address = self._server.listen(self.settings.bus)
-        self.log("info", f"the hardware bus listens at {address}")
-
-    def on_stop(self) -> None:
-        if self._server is not None:
-            self._server.close()
-
-    def on_failure(self, *error: Any) -> None:
-        self.on_stop()
-
-    def on_settings(self) -> None:
-        self.log("warning", "a simulated field keeps its settings until its next start")
+        super().on_start()
 
     @every(hz=5)
     def tell(self, tick: Tick) -> None:
         """Publish the state of the field."""
-        self._advance()
+        self.advance()
         now_s = self._now_s
-        nodes = tuple(self._truth(name, now_s) for name in self.settings.nodes)
+        nodes = tuple(self._node(name, now_s) for name in self.settings.nodes)
         self.publish(SYSTEM, FieldTruth(now_s, nodes))
+        self.publish_truth()
+
+    def truth(self) -> WorldState:
+        now_s = self._now_s
         bodies = [self._body(name, node) for name, node in self.settings.nodes.items()]
         bodies += [
             BodyState(walker.name, "mover", walker.x_m, walker.y_m, walker.theta_rad, walker.speed_mps, 0.0)
             for walker in self._scene.walkers(now_s)
         ]
-        self.publish(SYSTEM, WorldState(now_s, tuple(bodies)))
+        return WorldState(now_s, tuple(bodies))
 
-    def _truth(self, name: str, now_s: float) -> NodeTruth:
+    def _node(self, name: str, now_s: float) -> NodeTruth:
         celsius, moving = self._scene.celsius(name, now_s), self._scene.moving(name, now_s)
         battery = self._batteries.get(name)
         if battery is None:
@@ -96,61 +81,41 @@ class Field(Task):
         volts, spent = battery.voltage_v, battery.spent
         return BodyState(name, "sensor", node.x_m, node.y_m, 0.0, 0.0, 0.0, volts, spent=spent)
 
-    def _advance(self) -> None:
+    def advance(self) -> None:
         """Drain the batteries for the time up to now."""
         now_s = self.now()
         for battery in self._batteries.values():
             battery.passed(now_s - self._now_s, 0.0)
         self._now_s = now_s
 
-    def _serve(self, request: Request) -> Reply | None:
-        """Answer a request of a simulated device."""
-        self._advance()
-        try:
-            return self._answer(request)
-        except PancakesError as error:
-            return Refused(request.device, str(error))
-
-    def _answer(self, request: Request) -> Reply | None:
-        node = self.settings.nodes.get(request.body)
-        if node is None:
+    def check(self, body: str, device_type: str, model: str = "") -> None:
+        if body not in self.settings.nodes:
             known = ", ".join(self.settings.nodes) or "none"
-            raise PancakesError(f"the simulated field has no node {request.body!r}, only {known}")
-        match request:
-            case Attach():
-                self._check(request.body, request.type)
-                return Attached(request.device)
-            case Sample():
-                self._hear_of_radio(request)
-                value = msgspec.to_builtins(self._sample(request.body, request.type))
-                return Reading(request.device, request.type, value)
-        raise PancakesError(f"nothing in a simulated field has wheels, and {request.body} is not a robot")
-
-    def _hear_of_radio(self, request: Sample) -> None:
-        """Take what a node reports about its radio when it asks for its battery."""
-        battery = self._batteries.get(request.body)
-        if battery is not None and request.packets_sent is not None:
-            battery.packets_sent(request.packets_sent)
-        if battery is not None and request.listening is not None:
-            battery.listening = request.listening
-
-    def _check(self, node: str, device_type: str) -> None:
+            raise PancakesError(f"the simulated field has no node {body!r}, only {known}")
         if device_type not in SENSES:
             raise PancakesError(f"a node of a simulated field has no device of the type {device_type!r}")
-        if device_type == "battery" and node not in self._batteries:
-            raise PancakesError(f"the node {node} of the simulated field has no battery")
+        if device_type == "battery" and body not in self._batteries:
+            raise PancakesError(f"the node {body} of the simulated field has no battery")
 
-    def _sample(self, node: str, device_type: str) -> Any:
-        self._check(node, device_type)
-        battery = self._batteries.get(node)
+    def radio(self, body: str, packets_sent: int | None, listening: bool | None) -> None:
+        """Take what a node reports about its radio when it asks for its battery."""
+        battery = self._batteries.get(body)
+        if battery is not None and packets_sent is not None:
+            battery.packets_sent(packets_sent)
+        if battery is not None and listening is not None:
+            battery.listening = listening
+
+    def sample(self, body: str, device_type: str) -> Any:
+        self.check(body, device_type)
+        battery = self._batteries.get(body)
         if battery is not None:
             battery.sampled(device_type)
         if device_type == "temperature":
-            celsius = self._scene.celsius(node, self._now_s)
+            celsius = self._scene.celsius(body, self._now_s)
             return Temperature(celsius + self.settings.noise_c * self.random.gauss(0.0, 1.0))
         if device_type == "motion":
-            return Motion(self._scene.moving(node, self._now_s))
-        settings = self.settings.nodes[node].battery
+            return Motion(self._scene.moving(body, self._now_s))
+        settings = self.settings.nodes[body].battery
         assert battery is not None and settings is not None
         voltage_v = battery.voltage_v + settings.noise_v * self.random.gauss(0.0, 1.0)
         return Battery(voltage_v, battery.level_at(voltage_v))

@@ -5,10 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
-from pancakes.packet import SYSTEM, Packet
-from pancakes.settings import FilePath, Positive
+from pancakes import SYSTEM, FilePath, Packet, Positive, on
 from pancakes.sim.csv_records import RowFile
-from pancakes.task import on
 from pancakes_sensor_field.packets import FieldTruth, NodeTruth
 
 HEADER: Final = "t_s,node,celsius,moving,level,radio,idle_j,sensing_j,listening_j,sending_j"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from pancakes.errors import PancakesError
+from pancakes import PancakesError
 from pancakes.tools.demo import Run
 from pancakes_sensor_field.record import Record, Row, Table, find_task, read_record
 

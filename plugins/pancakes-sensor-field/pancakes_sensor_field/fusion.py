@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from pancakes.settings import NotNegative, Positive
+from pancakes import NotNegative, Positive
 from pancakes_sensor_field.packets import Report
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import msgspec
 
-from pancakes.packet import packet_type
+from pancakes import packet_type
 from pancakes.sim.world_state import Spent
 
 

@@ -6,7 +6,7 @@ import math
 from bisect import bisect_right
 from dataclasses import dataclass, field
 
-from pancakes.settings import NotNegative, Positive
+from pancakes import NotNegative, Positive
 from pancakes.sim.battery import BatterySettings
 
 

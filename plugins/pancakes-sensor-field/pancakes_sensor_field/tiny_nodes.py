@@ -16,11 +16,9 @@ from typing import Annotated, Any, Final
 
 from msgspec import Meta
 
-from pancakes.errors import PancakesError
+from pancakes import SYSTEM, Packet, PancakesError, Task, Tick, every, on
 from pancakes.mesh.transport import Connection, ConnectionHandler
-from pancakes.packet import SYSTEM, Packet
 from pancakes.settings import Share
-from pancakes.task import Task, Tick, every, on
 from pancakes_sensor_field.drivers import NodeNumber, PeriodS
 from pancakes_sensor_field.mote import Mote, spoilt
 from pancakes_sensor_field.packets import FieldTruth, NodeTruth

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from pancakes import SYSTEM, Packet, Task, Tick, every, on, task_address
 from pancakes.devices import Motion, Temperature
 from pancakes.errors import MailboxFullError
-from pancakes.packet import SYSTEM, Packet, join, task_address
-from pancakes.task import Task, Tick, every, on
+from pancakes.packet import join
 from pancakes_sensor_field.packets import Activity, Report
 
 

@@ -1,4 +1,4 @@
-"""`pancakes agent ...`: list and show agents, reload their keys, and print their systemd units."""
+"""`pancakes agent ...`: run, list and show agents, reload their keys, and print their systemd units."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import Any, Final
 import click
 
 from pancakes.control import ReloadKeys
+from pancakes.tools.cli.agent_command import run_verb
 from pancakes.tools.cli.agent_requests import ask_each, survey
 from pancakes.tools.cli.help_sections import SectionedGroup
 from pancakes.tools.cli.options import Ask, agents, asks_agents, dry_run_option, format_option, orders_agents, the_agent
@@ -20,6 +21,7 @@ COLUMNS = ("agent", "role", "fleet", "address", "ready", "mission_s", "tasks", "
 
 SECTIONS: Final = {
     "Commands": {
+        "run": "Run an agent, as pancakes-agent does.",
         "list": "List running agents.",
         "info": "Show all about an agent: process, links, load.",
         "reload-keys": "Make agents read their new keys.",
@@ -30,7 +32,10 @@ SECTIONS: Final = {
 
 @click.group(cls=SectionedGroup, sections=SECTIONS)
 def agent() -> None:
-    """List and show running agents."""
+    """Run, list and show agents."""
+
+
+agent.add_command(run_verb())
 
 
 @agent.command("list")
@@ -66,7 +71,7 @@ def list_(agents: tuple[str, ...], role: str, ask: Ask) -> None:
 def info(agent: str, ask: Ask) -> None:
     """Show all that AGENT reports about itself: its process and load, its clock, links, services, devices, channels.
 
-    JSON is the unchanged answer of the agent.
+    JSON is a list with one entry: the unchanged answer of the agent.
 
     \b
     Example:
@@ -83,7 +88,7 @@ def info(agent: str, ask: Ask) -> None:
 @dry_run_option
 @orders_agents
 def reload_keys(agents: tuple[str, ...], dry_run: bool, ask: Ask) -> None:
-    """Make agents read a new key that `pancakes fleet join` has put in place of the old one.
+    """Make agents read a new key that `pancakes keys join` has put in place of the old one.
 
     An agent looks for a new key every minute by itself. New links use the new key, and old links are replaced one by
     one.
@@ -143,8 +148,10 @@ def _sections(found: dict[str, Any], is_own: Callable[[str], bool]) -> dict[str,
             "addresses": found["listen"],
             "insecure": found["insecure"],
             "ready": found["ready"],
+            **_halted(found["halt"]),
             "clock": _clock(found),
             "battery": found["battery_level"],
+            **_reserve(found.get("reserve")),
             "load": found["load"],
             "devices": found["devices"],
             "channels": found["channels"],
@@ -162,6 +169,23 @@ def _sections(found: dict[str, Any], is_own: Callable[[str], bool]) -> dict[str,
         ],
         "links": [_link(peer) for peer in mesh["peers"] if not is_own(peer["name"])],
     }
+
+
+def _reserve(reserve: dict[str, Any] | None) -> dict[str, str]:
+    """Return how long a robot can go on before it must go to a dock, and what is wrong with docks or battery."""
+    if reserve is None:
+        return {}
+    dock = f", then {reserve['way_m']:.1f} m to {reserve['dock'].partition('/')[0]}" if reserve["dock"] else ""
+    trouble = {"charging": reserve["trouble"]} if reserve["trouble"] else {}
+    return {"reserve": f"{reserve['seconds']:.0f} s{dock}", **trouble}
+
+
+def _halted(halt: dict[str, Any] | None) -> dict[str, str]:
+    """Return who halted an agent, and why."""
+    if halt is None:
+        return {}
+    reason = f": {halt['reason']}" if halt["reason"] else ""
+    return {"halted by": f"{halt['by'].partition('/')[0]}{reason} (pancakes halt --end)"}
 
 
 def _few(few: dict[str, int] | None) -> dict[str, str]:

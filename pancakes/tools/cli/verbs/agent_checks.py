@@ -48,6 +48,45 @@ def check_device(agent: str, task: dict[str, Any], facts: Facts) -> Iterator[Fin
         yield Finding("warning", about, text, f"check its cables and settings: pancakes task info {about}")
 
 
+@task_check
+def check_filters(agent: str, task: dict[str, Any], facts: Facts) -> Iterator[Finding]:
+    """Look for filters that keep an actuator in its safe hold, and for those that break."""
+    about = f"{agent}/{task['task']}"
+    for row in task.get("filters", ()) if task["state"] == "running" else ():
+        if row["doing"] != "holds":
+            continue
+        broken = row["why"].startswith("failed: ")
+        text = f"is held by its filter {row['filter']} for {row['for_s']:.0f} s: {row['why']}"
+        advice = f"see docs/filters.md for what each reason means, and pancakes task info {about}"
+        yield Finding("error" if broken else "warning", about, text, advice)
+
+
+@agent_check
+def check_halt(agent: dict[str, Any], facts: Facts) -> Iterator[Finding]:
+    """Report an agent that is halted."""
+    halt = agent.get("halt")
+    if halt is None:
+        return
+    reason = f": {halt['reason']}" if halt["reason"] else ""
+    text = f"is halted by {halt['by'].partition('/')[0]}{reason}. Its actuators stand"
+    advice = "once it is safe for all of them to move: pancakes halt --end"
+    yield Finding("warning", agent["agent"], text, advice)
+
+
+@agent_check
+def check_reserve(agent: dict[str, Any], facts: Facts) -> Iterator[Finding]:
+    """Report a robot that cannot be charged, or that is too low to reach a dock."""
+    reserve = agent.get("reserve")  # only robots that measure it
+    if reserve is None:
+        return
+    advice = "see docs/energy.md for what each sentence means"
+    if reserve["trouble"]:
+        yield Finding("warning", agent["agent"], reserve["trouble"], advice)
+    elif reserve["seconds"] < 0.0 and not reserve["charging"]:
+        text = f"has {-reserve['seconds']:.0f} s less than it needs to reach {reserve['dock']} with its margin"
+        yield Finding("warning", agent["agent"], text, "bring it to a dock, or charge it by hand")
+
+
 IN_DOUBT: Final = "in doubt"
 NEAR: Final = 0.9
 """The share of a bound at which a peer is reported, before the agent refuses it."""
@@ -78,7 +117,7 @@ def check_kept(agent: dict[str, Any], facts: Facts) -> Iterator[Finding]:
 def _advice(name: str, peer: str, kind: str) -> str:
     if kind == IN_DOUBT:
         return f"start {peer}; if it is gone for good: pancakes task forget-peer {name} {peer} --dry-run"
-    return f"check whether {peer} invents tasks; if so, revoke it: pancakes fleet revoke {peer} REASON"
+    return f"check whether {peer} invents tasks; if so, revoke it: pancakes keys revoke {peer} REASON"
 
 
 DAY_S: Final = 1.0
@@ -190,7 +229,8 @@ def check_fences(agent: str, task: dict[str, Any], facts: Facts) -> Iterator[Fin
                 f"refuses {row['task_id']}, which {row['owner']} has under epoch {row['owner_has']}: it has seen epoch"
                 f" {row['seen']}, brought by {row['brought_by']}"
             )
-            advice = f"check that it runs only once, then: pancakes task fence {row['actuator']} --set {row['task_id']}"
+            name = f"{row['owner']}/{row['task_id'].partition('/')[2]}"
+            advice = f"check that it runs only once, then: pancakes task recover {name}"
             yield Finding("error", row["actuator"], text, advice)
 
 
@@ -213,9 +253,8 @@ def check_guards(facts: Facts) -> Iterator[Finding]:
             yield from _check_owned(owners[0], known)
         elif not any(row["lease"] for row in known) and any(row["wanted"] for row in known):
             text = f"is run by no agent: its owner {known[0]['owner']} is silent"
-            yield Finding(
-                "error", task_id, text, f"make its guardians take over: pancakes task take {known[0]['agent']}/{name}"
-            )
+            advice = f"see what can be done: pancakes task recover {known[0]['agent']}/{name}"
+            yield Finding("error", task_id, text, advice)
         elif any(row["wanted"] for row in known):
             yield from _awaited(task_id, [row for row in known if row["lease"]])
 
@@ -243,7 +282,8 @@ def _check_owned(owner: dict[str, Any], known: Sequence[dict[str, Any]]) -> Iter
     silent = [name for name in guardians if name not in {row["agent"] for row in known}]
     if owner["wanted"] and not owner["permit_s"]:
         text = "is paused: more than half of its guardians do not answer"
-        yield Finding("error", about, text, f"see which of them: pancakes task guards {owner['agent']}")
+        advice = f"see which of them: pancakes task guards; if they are gone for good: pancakes task recover {about}"
+        yield Finding("error", about, text, advice)
     elif len(guardians) < owner["guard"]:
         text = f"has {len(guardians)} of the {owner['guard']} guardians that it needs: it would be lost with its agent"
         yield Finding("warning", about, text, "link its agent to more agents that may guard it, such as a witness")
@@ -308,6 +348,17 @@ def check_silent(facts: Facts) -> Iterator[Finding]:
             yield Finding("error", "agents", sentence, advice)
 
 
+@agent_check
+def check_unlinked(agent: dict[str, Any], facts: Facts) -> Iterator[Finding]:
+    """Report an agent without a link to another agent of its fleet, though others run."""
+    others = [it["agent"] for it in facts.agents if it["fleet"] == agent["fleet"] and it is not agent]
+    networks = [it["state"] for it in agent["services"] if it["service"] == "network"]
+    if others and not agent["neighbours"] and networks == ["running"]:
+        text = f"has no link to another agent of its fleet ({', '.join(others)}): no task can migrate"
+        advice = 'put an address of one of them into its file, or its own into theirs: [agent] peers = ["ADDRESS"]'
+        yield Finding("warning", agent["agent"], text, advice)
+
+
 @fleet_check
 def check_versions(facts: Facts) -> Iterator[Finding]:
     """Look for agents of another version than this command."""
@@ -365,7 +416,7 @@ def check_roster(agent: dict[str, Any], facts: Facts) -> Iterator[Finding]:
         yield Finding("warning", agent["agent"], text, advice)
     elif own < here:
         text = f"has the roster {own} of its fleet, and this machine has the roster {here}"
-        advice = "try again in a minute; if it has not changed: pancakes fleet sign --tell HOST:PORT"
+        advice = "try again in a minute; if it has not changed: pancakes keys sign --at HOST:PORT"
         yield Finding("warning", agent["agent"], text, advice)
 
 
@@ -410,10 +461,10 @@ def check_agent(agent: dict[str, Any], facts: Facts) -> Iterator[Finding]:
         yield Finding("warning", name, text, advice)
     if agent["held"]:
         text = "its mission clock is held at 0, so its tasks do not act"
-        yield Finding("warning", name, text, "the launcher must release it, as pancakes launch does")
+        yield Finding("warning", name, text, "the launcher must release it, as pancakes up does")
     if agent["insecure"]:
         text = f"uses {agent['insecure']} without keys: anyone who can reach it can read its packets and command it"
-        yield Finding("warning", name, text, "run pancakes fleet join, and remove insecure = true from its file")
+        yield Finding("warning", name, text, "run pancakes keys join, and remove insecure = true from its file")
     for why in agent["mesh"].get("near_only", ()):
         yield Finding("warning", name, f"is not reached from other machines: {why}", ADVICE)
     if agent["dead_letters"]:
@@ -444,7 +495,7 @@ def check_peers(agent: dict[str, Any], facts: Facts) -> Iterator[Finding]:
             text = f"is not connected to its peer {peer}" + (f": {known['refused']}" if known["refused"] else "")
             advice = "start that agent, or correct peers in [agent]"
             if "certificate" in known["refused"]:
-                advice = "see pancakes fleet list, and enrol the peer again if it belongs to the fleet"
+                advice = "see pancakes keys list, and enrol the peer again if it belongs to the fleet"
             yield Finding("warning", name, text, advice)
     for peer in mesh["peers"]:
         lost = sum(peer["dropped"].values())
@@ -473,19 +524,19 @@ def check_ownership(agent: str, task: dict[str, Any], facts: Facts) -> Iterator[
     about = f"{agent}/{task['task']}"
     if task["rest"] == "disputed":
         text = "is paused, because another agent owns it too: " + (task["reason"] or "see the log of both")
-        yield Finding("error", about, text, f"choose the copy to keep: pancakes task resolve AGENT/{task['task']}")
+        yield Finding("error", about, text, f"choose the copy to keep: pancakes task recover {about}")
     if task.get("guarding", {}).get("copied"):
         text = f"is paused: the disk of {agent} is a copy, so the guardians decide which agent runs the task"
-        yield Finding("error", about, text, f"if the guardians are gone: pancakes task revive {about}")
+        yield Finding("error", about, text, f"if the guardians are gone: pancakes task recover {about}")
     rest, reason = task["rest"], task["reason"]
     if rest.startswith(WAITS):
         text = f"is not born yet: {reason}"
         yield Finding("warning", about, text, "start that agent, or correct peers in [agent]")
     elif rest == DISK_LOST:
-        advice = f"find it with pancakes task list; to leave it there: pancakes task forget {about}"
-        yield Finding("error", about, f"is not born: {reason}", advice)
+        yield Finding("error", about, f"is not born: {reason}", f"see what can be done: pancakes task recover {about}")
     elif rest == OLD_COPY:
-        yield Finding("error", about, f"is paused: {reason}", "start those agents, or decide yourself")
+        advice = f"see what can be done: pancakes task recover {about}"
+        yield Finding("error", about, f"is paused: {reason}", advice)
 
 
 @task_check

@@ -270,6 +270,8 @@ def _all(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
 
 WIDE: Final = 100
 """A list or mapping that takes more characters than this is shown on several lines."""
+LONG: Final = 500
+"""A longer text, such as an image, is shown by its beginning; `--format json` and `--field` show all of it."""
 HEADER: Final = "packet."
 """The prefix of fields of the packet's header, as opposed to its body."""
 
@@ -364,6 +366,8 @@ def text_of(record: Mapping[str, Any]) -> str:
 
 
 def _lines(key: str, value: Any, indent: str) -> list[str]:
+    if isinstance(value, str) and len(value) > LONG:
+        return [f"{indent}{key}: {one_line(value[:WIDE])} # the first {WIDE} of {len(value)} characters"]
     short = _scalar(value)
     if isinstance(value, Mapping) and value:
         return [
@@ -436,7 +440,7 @@ def _at(record: Mapping[str, Any], path: str) -> tuple[Any, ...]:
 
 
 LISTED = ("agent", "channel", "core", "subscribers", "waiting", "dropped", "followers")
-SUBSCRIBERS = ("subscriber", "types", "keep", "limit", "waiting", "dropped")
+SUBSCRIBERS = ("subscriber", "types", "queue", "limit", "waiting", "dropped")
 PUBLISHERS = ("publisher", "type", "packets", "rate_hz", "bytes_per_s")
 
 

@@ -59,7 +59,7 @@ def config() -> None:
 @click.argument("paths", metavar="FILE|DIR...", nargs=-1, required=True, type=click.Path(path_type=Path))
 @format_option
 def check(paths: tuple[Path, ...], printer: Printer) -> None:
-    """Check configuration files of agents, fleet files, and folders that `pancakes launch` accepts.
+    """Check configuration files of agents, fleet files, and folders that `pancakes up` accepts.
 
     Each fault is printed with file, line and key; the exit code is then 4. A plug-in that a file names and that cannot
     be imported is a fault, although an agent would run without it. What would keep an agent from starting on this
@@ -72,17 +72,22 @@ def check(paths: tuple[Path, ...], printer: Printer) -> None:
         pancakes config check robot.toml --format json
     """
     from pancakes.tools.cli.start_checks import machine_doubts
-    from pancakes.tools.launch.fleet_file import make_fleet
+    from pancakes.tools.launch.fleet_file import make_fleet, unlinked
     from pancakes.util.plugins import Plugins
 
     plugins = Plugins()
     rows: list[dict[str, Any]] = []
     for path in paths:
         try:
-            for member in make_fleet([path], (), None, plugins, must_load=True, check_hosts=True):
+            members = make_fleet([path], (), None, plugins, must_load=True, check_hosts=True)
+            alone = unlinked(members)
+            for member in members:
                 fleet = member.config.agent.fleet
                 # Paths and host names may mean something else on another machine.
                 doubts = [] if member.host else [it._asdict() for it in machine_doubts(member.config, plugins)]
+                if member.name in alone:
+                    text = "no other agent of this fleet is named here, and none names this one: it will not be linked"
+                    doubts.append(Fault(str(member.path), "[agent] peers", text)._asdict())
                 row: dict[str, Any] = {"file": str(member.path), "agent": member.name, "fleet": fleet}
                 rows.append({**row, "faults": [], "warnings": doubts, "unchecked": list(member.unchecked)})
         except ConfigError as error:
@@ -184,7 +189,7 @@ def _show(tables: dict[str, Any], origin: Origin, printer: Printer) -> None:
 
 
 @config.command()
-@click.option("--fleet", is_flag=True, help="Print the schema of a fleet file of `pancakes launch` instead.")
+@click.option("--fleet", is_flag=True, help="Print the schema of a fleet file of `pancakes up` instead.")
 @click.option("--plugins", "with_plugins", is_flag=True, help="Include the settings of all installed plug-ins.")
 @format_option_of("json", "A JSON Schema, or a table of all keys.")
 def schema(fleet: bool, with_plugins: bool, printer: Printer) -> None:
@@ -195,7 +200,7 @@ def schema(fleet: bool, with_plugins: bool, printer: Printer) -> None:
         pancakes config schema --plugins > agent.schema.json
         pancakes config schema --format table
     """
-    from pancakes.config.schema import config_schema
+    from pancakes.config.schema import allowing_variables, config_schema
     from pancakes.util.plugins import Plugins
 
     if fleet and with_plugins:
@@ -206,7 +211,7 @@ def schema(fleet: bool, with_plugins: bool, printer: Printer) -> None:
         found = fleet_schema()
     else:
         found = config_schema(Plugins() if with_plugins else None)
-    printer.emit(found, Rows(list(_schema_rows(found)), SCHEMA_COLUMNS))
+    printer.emit(allowing_variables(found), Rows(list(_schema_rows(found)), SCHEMA_COLUMNS))
 
 
 def _schema_rows(schema: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
@@ -218,7 +223,8 @@ def _schema_rows(schema: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
         inner = part.get("additionalProperties")
         named = isinstance(inner, Mapping)
         if named or "properties" in part:
-            entry = inner if named else part
+            needed = schema["then"]["properties"].get(table, {})
+            entry = {**inner, **needed.get("additionalProperties", {})} if named else {**part, **needed}
             for row in rows_of(entry, definitions=schema["$defs"]):
                 default = "-" if row["default"] is None else value_text(row["default"])
                 default = "required" if row["required"] else default
@@ -232,8 +238,8 @@ def _schema_rows(schema: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
             yield {
                 "table": "",
                 "key": table,
-                "type": value_text(part["const"]),
-                "default": "required",
+                "type": value_text(part["const"]) if "const" in part else {"string": "text"}.get(part["type"], "table"),
+                "default": "required" if table in schema["required"] else "-",
                 "bounds": "",
                 "description": part["description"],
             }

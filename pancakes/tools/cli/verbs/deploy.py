@@ -168,7 +168,7 @@ def _reached(members: Sequence[Member], only: bool) -> Iterator[dict[str, Host]]
 
 def _authorities(members: Sequence[Member], keys: Mapping[str, Need]) -> dict[str, Authority]:
     """Open the authorities of the fleets in which agents are enrolled, so that passwords are asked for now."""
-    from pancakes.tools.cli.verbs.fleet_authority import opened
+    from pancakes.tools.cli.verbs.keys_authority import opened
 
     fleets = dict.fromkeys(it.config.agent.fleet for it in members if keys[it.name] == "needs")
     return {fleet: opened(fleet) for fleet in fleets}

@@ -191,7 +191,7 @@ def _check_journal(directory: Path) -> Finding:
     ]
     if undecided:
         text = f"{directory} has lost records of tasks: {', '.join(undecided)}"
-        advice = "decide with `pancakes task adopt` or `pancakes task forget`; see their --help"
+        advice = "decide what becomes of them: pancakes task recover AGENT/TASK"
         return Finding("warning", about, text, advice)
     if aside:
         advice = "remove them: none is needed any more"
@@ -226,7 +226,7 @@ def check_own_keys() -> Iterator[Finding]:
     """Check this person's keys for fleets: whether they are valid, and for how long."""
     for fleet in fleets_of_person():
         folder = folder_of_person(fleet)
-        renew = "ask the operator of that fleet to renew it: pancakes fleet renew"
+        renew = "ask the operator of that fleet to renew it: pancakes keys renew"
         try:
             from pancakes.security.keys import Keys
 

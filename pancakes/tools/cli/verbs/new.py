@@ -124,5 +124,5 @@ def _make(kind: str, names: Names, into: Path, dry_run: bool, printer: Printer) 
 
 def _next(kind: str, names: Names, folder: Path) -> list[str]:
     """Return the commands that the user runs next."""
-    run = "pancakes launch configs" if kind == "plugin" else f"pancakes-agent --config configs/{names.package}.toml"
+    run = "pancakes up configs" if kind == "plugin" else f"pancakes-agent --config configs/{names.package}.toml"
     return [f"cd {shlex.quote(os.path.relpath(folder))}", 'pip install -e ".[test]"', "pytest", run]

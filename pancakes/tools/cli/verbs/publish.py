@@ -8,7 +8,8 @@ from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
 from inspect import get_annotations
 from itertools import count
-from typing import Any, Final
+from types import NoneType, UnionType
+from typing import Any, Final, Literal, Union, get_args, get_origin, get_type_hints
 
 import click
 import msgspec
@@ -86,9 +87,25 @@ def _lower(text: str) -> str:
 
 def _fields(cls: type) -> str:
     """Return the fields of a body, each with its type."""
-    kinds = {name: kind for base in reversed(cls.__mro__) for name, kind in get_annotations(base).items()}
+    try:
+        kinds = get_type_hints(cls)  # without what `Annotated` adds
+    except (NameError, TypeError):  # an annotation that cannot be evaluated here is shown as it stands in the source
+        kinds = {name: kind for base in reversed(cls.__mro__) for name, kind in get_annotations(base).items()}
     named = ((name, kinds.get(name, "")) for name in field_names(cls))
-    return ", ".join(f"{name} ({getattr(kind, '__name__', kind)})" for name, kind in named) or "none"
+    return ", ".join(f"{name} ({_kind_text(kind)})" for name, kind in named) or "none"
+
+
+def _kind_text(kind: Any) -> str:
+    """Return a type as its author may have written it, without modules."""
+    if get_origin(kind) in (Union, UnionType):
+        return " | ".join(map(_kind_text, get_args(kind)))
+    if get_origin(kind) is Literal:
+        return f"Literal[{', '.join(map(repr, get_args(kind)))}]"
+    name = str(getattr(kind, "__name__", kind))
+    if kind is NoneType:
+        return "None"
+    inside = ", ".join("..." if one is Ellipsis else _kind_text(one) for one in get_args(kind))
+    return f"{name}[{inside}]" if inside else name
 
 
 def _unknown(given: Any, taken: Any, path: str = "") -> Iterator[tuple[str, list[str]]]:

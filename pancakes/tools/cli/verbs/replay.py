@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -10,6 +11,7 @@ import click
 
 from pancakes.client import Target
 from pancakes.tools.cli.agent_requests import survey_with
+from pancakes.tools.cli.exit_codes import INTERRUPTED
 from pancakes.tools.cli.options import AGENT_NAME, Ask, Duration, FiniteRange, dry_run_option, orders_agents
 from pancakes.tools.cli.output import DRY_RUN, Printer
 from pancakes.tools.cli.streaming import load_packets, say, until_ended
@@ -33,9 +35,13 @@ COLUMNS: Final = ("agent", "channel", "type", "source", "packets", "done")
     help="Replay this many times as fast, in mission time.",
 )
 @click.option(
-    "--from", "from_s", metavar="TIME", type=Duration(), help="Begin at this mission time (see pancakes record info)."
+    "--start",
+    "start_s",
+    metavar="TIME",
+    type=Duration(zero=True),
+    help="Begin at this mission time (see pancakes record info).",
 )
-@click.option("--to", "to_s", metavar="TIME", type=Duration(), help="End at this mission time.")
+@click.option("--end", "end_s", metavar="TIME", type=Duration(), help="End at this mission time.")
 @click.option(
     "--only",
     metavar="GLOB",
@@ -67,8 +73,8 @@ COLUMNS: Final = ("agent", "channel", "type", "source", "packets", "done")
 def replay(
     path: Path,
     speed: float,
-    from_s: float | None,
-    to_s: float | None,
+    start_s: float | None,
+    end_s: float | None,
     only: tuple[str, ...],
     as_name: str,
     configs: tuple[Path, ...],
@@ -89,7 +95,7 @@ def replay(
     \b
     Example:
         pancakes replay recordings --dry-run
-        pancakes replay recordings/agent1.mcap --from 30s --to 1min --only 'agent1/device/*'
+        pancakes replay recordings/agent1.mcap --start 30s --end 1min --only 'agent1/device/*'
         pancakes replay recordings --only 'agent1/system/*' --as agent7 --speed 2
         pancakes replay recordings --config agent1.toml --out again
     """
@@ -101,12 +107,12 @@ def replay(
         raise click.UsageError("--config and --out need each other: the result is recorded into --out")
     if configs and ask.where != Target():
         raise click.UsageError("--at and --fleet are for running agents, --config starts agents: use only one of them")
-    if to_s is not None and to_s <= (from_s or 0.0):
-        raise click.UsageError(f"--to {to_s:g}s is not after --from {from_s or 0.0:g}s")
+    if end_s is not None and end_s <= (start_s or 0.0):
+        raise click.UsageError(f"--end {end_s:g}s is not after --start {start_s or 0.0:g}s")
     plugins = Plugins()
     load_packets(plugins)
     reader = RecordingReader(path)
-    selection = Selection({}, only, from_s or 0.0, to_s, as_name, reader.mission_time())
+    selection = Selection({}, only, start_s or 0.0, end_s, as_name, reader.mission_time())
     replay_request = _ReplayRequest(reader, speed, selection)
     if out is not None:
         _feed_virtual(replay_request, configs, out, plugins, seed, dry_run, ask.printer)
@@ -158,13 +164,17 @@ def _feed_live(replay_request: _ReplayRequest, dry_run: bool, ask: Ask) -> None:
             return
         assert tally.first_ns is not None
         feeder = Feeder(client, selection, say)
+        is_interrupted = False
         try:
             recorded_speed = replay_request.recorded_speed()
             feeder.feed(replay_request.reader.entries(), tally.first_ns, replay_request.speed, recorded_speed)
         except KeyboardInterrupt:
             say("the replay was interrupted")
+            is_interrupted = True
         feeder.settle()
         ask.printer.table(_rows(tally, feeder.tally, False), COLUMNS)
+        if is_interrupted:
+            sys.exit(INTERRUPTED)
 
 
 def _feed_virtual(

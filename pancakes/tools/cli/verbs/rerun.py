@@ -45,7 +45,7 @@ LONGEST: Final = 100
     "--time-tolerance",
     "time_s",
     metavar="TIME",
-    type=Duration(),
+    type=Duration(zero=True),
     default="50ms",
     show_default=True,
     help="Compare packets that were published at most this far apart, in mission time.",

@@ -9,7 +9,7 @@ import click
 from pancakes.control import Restart, Start, Stop
 from pancakes.errors import ControlRefusedError
 from pancakes.supervision.restart import tries
-from pancakes.tools.cli.agent_requests import confirm, force_option, request, show_done, survey
+from pancakes.tools.cli.agent_requests import confirm, request, show_done, survey, yes_option
 from pancakes.tools.cli.help_sections import SectionedGroup
 from pancakes.tools.cli.options import (
     Ask,
@@ -127,18 +127,18 @@ def stop(name: ServiceName, for_s: float | None, dry_run: bool, ask: Ask) -> Non
 @service.command()
 @a_service
 @keep_state_option("Keep the state and settings of its tasks, or begin from scratch as their configuration says.")
-@force_option
+@yes_option
 @dry_run_option
 @orders_agents
 def restart(name: ServiceName, keep_state: bool, force: bool, dry_run: bool, ask: Ask) -> None:
     """Stop a service and all of its tasks, start it, and wait until it runs.
 
-    With --drop-state it asks first; if this is not a terminal, --force is required.
+    With --drop-state it asks first; if this is not a terminal, --yes is required.
 
     \b
     Example:
         pancakes service restart agent1/device
-        pancakes service restart agent1/client --drop-state --force
+        pancakes service restart agent1/client --drop-state --yes
     """
     with ask.client() as client:
         if not (keep_state or force or dry_run):

@@ -11,18 +11,19 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from pancakes.control import Create, Describe, Remove, Reschedule, Restart, Start, Stop
-from pancakes.errors import NoAnswerError
+from pancakes.control import Create, Describe, Reload, Remove, Reschedule, Restart, Start, Stop
+from pancakes.errors import ControlRefusedError, NoAnswerError, UnreachableError
 from pancakes.supervision.restart import tries
 from pancakes.tools.cli.agent_requests import (
     confirm,
-    force_option,
     request,
     request_result,
     resolve_fleet,
     resolve_service,
     show_done,
     survey,
+    survey_with,
+    yes_option,
 )
 from pancakes.tools.cli.help_sections import SectionedGroup
 from pancakes.tools.cli.options import (
@@ -39,10 +40,11 @@ from pancakes.tools.cli.options import (
     orders_agents,
 )
 from pancakes.tools.cli.output import DRY_RUN, Rows, show_text
-from pancakes.tools.cli.verbs.task_arguments import Changes, SettingChange, set_option, timers, types
-from pancakes.tools.cli.verbs.task_migration import adopt, forget, forget_peer, migrate, migrations
-from pancakes.tools.cli.verbs.task_recovery import fence, guards, resolve, revive, take
+from pancakes.tools.cli.verbs.task_arguments import Changes, SettingChange, set_option, tasks_beside, timers, types
+from pancakes.tools.cli.verbs.task_migration import forget_peer, migrate, migrations
+from pancakes.tools.cli.verbs.task_recovery import fence, guards, recover
 from pancakes.tools.short_state import MOST_BYTES, shortened
+from pancakes.util.text import did_you_mean
 
 if TYPE_CHECKING:
     from pancakes.client import Client
@@ -99,11 +101,13 @@ def create(
     from pancakes.tools.cli.verbs.param_file import changes_of
 
     table = changes_of({}, dict(keys))
-    for option, key, value in (("--guard", "guard", int(guard) if guard else None), ("--lease", "lease_s", lease_s)):
-        if value is not None and key in table:
-            raise click.UsageError(f"{option} and --key {key} set the same key: give only one of them")
-        if value is not None:
-            table[key] = value
+    for option, key, value in (("--guard", "copies", int(guard) if guard else None), ("--lease", "lease_s", lease_s)):
+        if value is None:
+            continue
+        rule = table.setdefault("guard", {})
+        if not isinstance(rule, dict) or key in rule:
+            raise click.UsageError(f"{option} and --key guard.{key} set the same key: give only one of them")
+        rule[key] = value
     with ask.client() as client:
         name = resolve_fleet(client, name)
         body = Create(name.target, type_, changes_of({}, dict(sets)), rate_hz, table, dry_run)
@@ -121,7 +125,7 @@ def create(
 
 @click.command()
 @a_task
-@force_option
+@yes_option
 @dry_run_option
 @orders_agents
 def remove(name: TaskName, force: bool, dry_run: bool, ask: Ask) -> None:
@@ -133,7 +137,7 @@ def remove(name: TaskName, force: bool, dry_run: bool, ask: Ask) -> None:
     \b
     Example:
         pancakes task remove agent1/ScanTarget
-        pancakes task remove agent1/ScanTarget --force
+        pancakes task remove agent1/ScanTarget --yes
     """
     with ask.client() as client:
         name = resolve_service(client, name)
@@ -145,7 +149,7 @@ def remove(name: TaskName, force: bool, dry_run: bool, ask: Ask) -> None:
 
 COLUMNS = ("agent", "service", "task", "type", "state", "rate_hz")
 LONG = (*COLUMNS, "incarnation", "ticks", "missed", "lateness_max_s", "dropped", "reason")
-READS = ("channel", "types", "keep", "limit", "waiting", "dropped")
+READS = ("channel", "types", "queue", "limit", "waiting", "dropped")
 STATES = ("stopped", "starting", "running", "stopping", "stuck", "restarting", "failed")
 """The values of `pancakes.supervision.lifecycle.WORDS`. Importing that module would slow each command."""
 
@@ -157,6 +161,7 @@ SECTIONS: Final = {
         "start": "Start a stopped task.",
         "stop": "Stop a task.",
         "restart": "Stop a task and start it again.",
+        "reload": "Have running tasks go on in the class that is on disk now.",
         "rate": "Change the rate of a task.",
         "create": "Create a task that no configuration file names.",
         "remove": "Stop such a task, and delete it.",
@@ -168,11 +173,7 @@ SECTIONS: Final = {
         "fence": "Show which tasks have commanded an actuator.",
     },
     "Recovery": {
-        "take": "Have the guardians take over a task of a silent agent.",
-        "revive": "Run a task of an agent that is gone for good.",
-        "adopt": "Run a task here whose ownership is in doubt.",
-        "resolve": "Keep one of two copies of a task.",
-        "forget": "Never start a task here whose record is damaged.",
+        "recover": "Say what happened to a task in trouble, and set it right.",
         "forget-peer": "Drop tasks whose hand-off from an agent is in doubt.",
     },
 }
@@ -187,14 +188,10 @@ task.add_command(create)
 task.add_command(remove)
 task.add_command(migrate)
 task.add_command(migrations)
-task.add_command(adopt)
-task.add_command(forget)
 task.add_command(forget_peer)
-task.add_command(resolve)
-task.add_command(revive)
 task.add_command(fence)
 task.add_command(guards)
-task.add_command(take)
+task.add_command(recover)
 
 
 @task.command("list")
@@ -237,7 +234,8 @@ def info(name: TaskName, with_state: bool, ask: Ask) -> None:
     For a guarded task that AGENT owns it also shows the permit, the guardians, and the age of the checkpoint that each
     guardian holds.
 
-    --state adds the task's state, taken between two of its turns. The table truncates long values.
+    --state adds the task's state, taken between two of its turns, and the nodes of its behaviour tree if it has one.
+    The table truncates long values.
 
     JSON is the unchanged answer of the agent, with the JSON Schema of the settings. With --state it also has the
     whole state as "kept_state", its mission time as "kept_state_s", and as "kept_state_reason" why the state is
@@ -280,9 +278,16 @@ def start(name: TaskName, sets: Changes, dry_run: bool, ask: Ask) -> None:
 
 @task.command()
 @a_task
+@click.option(
+    "--then",
+    metavar="TASK",
+    default="",
+    shell_complete=tasks_beside,
+    help="Start this task in its place, once it has let its actuators go.",
+)
 @dry_run_option
 @orders_agents
-def stop(name: TaskName, dry_run: bool, ask: Ask) -> None:
+def stop(name: TaskName, then: str, dry_run: bool, ask: Ask) -> None:
     """Stop a task after the message that it is handling, and wait until it has stopped.
 
     It stays stopped, even if its agent is restarted.
@@ -290,25 +295,26 @@ def stop(name: TaskName, dry_run: bool, ask: Ask) -> None:
     \b
     Example:
         pancakes task stop agent1/ScanTarget
+        pancakes task stop agent1/Charge --then ScanTarget
     """
-    _order(ask, name, "stopped", lambda target: Stop(target, dry_run=dry_run))
+    _order(ask, name, "stopped", lambda target: Stop(target, dry_run=dry_run, then=then))
 
 
 @task.command()
 @a_task
 @keep_state_option("Keep the task's state and settings, or begin from scratch as its configuration says.")
-@force_option
+@yes_option
 @dry_run_option
 @orders_agents
 def restart(name: TaskName, keep_state: bool, force: bool, dry_run: bool, ask: Ask) -> None:
     """Stop a task, start it, and wait until it runs.
 
-    With --drop-state it asks first; if this is not a terminal, --force is required.
+    With --drop-state it asks first; if this is not a terminal, --yes is required.
 
     \b
     Example:
         pancakes task restart agent1/ScanTarget
-        pancakes task restart agent1/ScanTarget --drop-state --force
+        pancakes task restart agent1/ScanTarget --drop-state --yes
     """
     with ask.client() as client:
         name = resolve_service(client, name)
@@ -316,6 +322,53 @@ def restart(name: TaskName, keep_state: bool, force: bool, dry_run: bool, ask: A
             request(client, name.agent, Restart(name.target, keep_state, dry_run=True))
             confirm(f"{name} would begin from scratch, as its configuration says: its state is lost", force)
         show_done(ask, client, name, "restarted", Restart(name.target, keep_state, dry_run))
+
+
+@task.command()
+@click.argument("type_", metavar="TYPE", shell_complete=types)
+@agents
+@dry_run_option
+@orders_agents
+def reload(type_: str, agents: tuple[str, ...], dry_run: bool, ask: Ask) -> None:
+    """Import a task type again as it is on disk, and have its running tasks go on in the new class.
+
+    Each task keeps its settings, its state and its identity. Other types of the same distribution are reloaded too. If
+    the import fails, or the state of one task does not fit its new class, all tasks of that agent go on as they are.
+
+    Without AGENT it asks the agents that have a task of this type. With AGENT it also makes a type known that was
+    installed while the agent ran.
+
+    \b
+    Example:
+        pancakes task reload loadwatch.LoadWatch --dry-run
+        pancakes task reload loadwatch.LoadWatch
+        pancakes task reload loadwatch.LoadWatch agent1 agent2
+    """
+    with ask.client() as client:
+        if not agents:
+            found = survey_with(client)
+            agents = tuple(sorted({row["agent"] for one in found for row in one["tasks"] if row["type"] == type_}))
+            if not agents:
+                hint = did_you_mean(type_, sorted({row["type"] for one in found for row in one["tasks"]}))
+                raise ControlRefusedError(f"no agent that answers has a task of the type {type_!r}{hint}")
+        answers = client.request_all(Reload(type_, dry_run), *agents)
+    rows: list[dict[str, Any]] = []
+    for name, reply in answers.replies:
+        if not reply.ok:
+            continue
+        about = {"agent": name, "before": reply.result["before"], "version": reply.result["version"]}
+        done = {"done": DRY_RUN if dry_run else "reloaded", "number": reply.number}
+        none = {"service": "", "task": "", "type": type_, "state": ""}  # it is known there now
+        rows += [{**about, **row, **done} for row in reply.result["tasks"] or [none]]
+        if reply.result["stays"]:
+            show_text(f"as before, until {name} is restarted: {', '.join(reply.result['stays'])}", err=True)
+    if rows:
+        ask.printer.table(rows, ("agent", "service", "task", "type", "before", "version", "done", "number"))
+    refused = [f"{name} refused: {reply.reason}" for name, reply in answers.replies if not reply.ok]
+    if refused:
+        raise ControlRefusedError("\n".join([*answers.silent, *refused]))
+    if answers.silent:
+        raise UnreachableError("\n".join(answers.silent))
 
 
 @task.command(cls=TakesNumbers)
@@ -367,7 +420,12 @@ def _state_section(kept: Mapping[str, Any]) -> dict[str, Any]:
     short = shortened(kept["kept_state"], most_bytes=4 * MOST_BYTES)
     cut = " (truncated; --format json has all of it)" if short.cut else ""
     title = f"task state, at {kept['kept_state_s']:.3f} s{cut}"
-    return {title: dict(short.rows) or "empty: this task keeps no state"}
+    tree = [
+        {"node": f"{'. ' * row.depth}{row.name}", "kind": row.kind, "status": row.status, "message": row.message}
+        for row in short.tree
+    ]
+    empty = "empty: this task keeps no state" if not tree else ""
+    return {"behaviour tree": tree, title: dict(short.rows) or empty}
 
 
 def _readings(readings: Mapping[str, Any] | None) -> dict[str, Any]:
@@ -398,6 +456,13 @@ def _sections(name: str, found: Mapping[str, Any]) -> dict[str, Any]:
             "packets dropped": found["dropped"],
             **_readings(found.get("readings")),
         },
+        "filters": [
+            {
+                **{key: row[key] for key in ("filter", "type", "passed", "changed", "held", "doing", "why")},
+                "for_s": round(row["for_s"], 1),
+            }
+            for row in found.get("filters", ())
+        ],
         "guardians": [dict(row) for row in found.get("guarding", {}).get("guardians", ())],
         "timers": [
             {
@@ -420,7 +485,7 @@ def _sections(name: str, found: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _guarding(guard: Mapping[str, Any] | None) -> str:
-    return f"by {guard['guard']}, lease {guard['lease_s']:g} s" if guard is not None else "no"
+    return f"by {guard['copies']}, lease {guard['lease_s']:g} s" if guard is not None else "no"
 
 
 def _permit(guarding: Mapping[str, Any] | None) -> dict[str, str]:

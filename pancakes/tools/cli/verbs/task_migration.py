@@ -1,4 +1,4 @@
-"""`pancakes task migrate|migrations|adopt|forget|forget-peer`: migrate tasks, and decide about tasks in doubt."""
+"""`pancakes task migrate|migrations|forget-peer`: migrate tasks, and drop what a lost agent left in doubt."""
 
 from __future__ import annotations
 
@@ -6,11 +6,10 @@ from collections.abc import Mapping
 from typing import Any
 
 import click
-import msgspec
 
-from pancakes.control import Adopt, Checkpoints, Forget, Migrate, Migrations, Reply
+from pancakes.control import Checkpoints, Forget, Migrate, Migrations
 from pancakes.errors import ControlRefusedError, NoAnswerError, PancakesError
-from pancakes.tools.cli.agent_requests import ask_each, confirm, force_option, request, request_confirmed, resolve_fleet
+from pancakes.tools.cli.agent_requests import ask_each, confirm, request, resolve_fleet, yes_option
 from pancakes.tools.cli.options import (
     AGENT_NAME,
     Ask,
@@ -24,7 +23,7 @@ from pancakes.tools.cli.options import (
     the_agent,
 )
 from pancakes.tools.cli.output import DRY_RUN, Printer, Rows
-from pancakes.tools.cli.verbs.task_arguments import birthplace_option, costs, tasks_beside
+from pancakes.tools.cli.verbs.task_arguments import costs, tasks_beside
 
 ANSWER_COLUMNS = ("neighbour", "answer", "cost", "terms", "fate", "reason")
 MIGRATION_COLUMNS = (
@@ -93,8 +92,9 @@ def migrate(name: TaskName, to: str, then: str, cost: str, dry_run: bool, ask: A
 @agents
 @asks_agents
 def migrations(agents: tuple[str, ...], ask: Ask) -> None:
-    """List the newest 100 migrations of each agent, or only of those named, oldest first.
+    """List the newest 100 migrations of each agent, or only of those named: one agent after the other, oldest first.
 
+    Mission time begins again when an agent is restarted (`boot`), so migrations of several agents have no common order.
     They come from the journals of the source agents, and include migrations that failed. In JSON, each has an entry
     for every neighbour that was asked.
 
@@ -108,87 +108,23 @@ def migrations(agents: tuple[str, ...], ask: Ask) -> None:
     ask.printer.emit(ledgers, Rows(shown, MIGRATION_COLUMNS))
 
 
-@click.command()
-@a_task
-@force_option
-@birthplace_option("Where the task was born, if two tasks of this name are in doubt.")
-@dry_run_option
-@orders_agents
-def adopt(name: TaskName, force: bool, birthplace: str, dry_run: bool, ask: Ask) -> None:
-    """Run a task on AGENT that does not start because AGENT cannot know whether it runs elsewhere.
-
-    Only you can know that it runs nowhere else. If it does, or if it comes back on an agent that is switched off, two
-    copies run. So check first, with `pancakes task list`. The command prints the consequences and asks; if this is not
-    a terminal, --force is required.
-
-    If its hand-off to another agent is in doubt, that agent must be gone for good: switch it off, adopt the task, and
-    only then set the agent up again with an empty state_dir. Adopting is refused while that agent is connected.
-
-    If AGENT's own record of the task was lost, the task continues from what is readable of the record. Otherwise it
-    begins from scratch, as its configuration says. If it runs elsewhere, use `pancakes task forget` instead.
-
-    \b
-    Example:
-        pancakes task adopt agent1/ScanTarget
-        pancakes task adopt agent1/ScanTarget --force
-    """
-    with ask.client() as client:
-        name = resolve_fleet(client, name)
-        reply = request_confirmed(
-            client, name.agent, lambda forced, dry: Adopt(name.target, forced, birthplace, dry), force, dry_run
-        )
-    _show_decided(ask, name, reply, DRY_RUN if dry_run else "adopted", instead_of=reply.result["peer"])
-
-
-@click.command()
-@a_task
-@birthplace_option("Where the task was born, if the records of two tasks of this name were lost.")
-@force_option
-@dry_run_option
-@orders_agents
-def forget(name: TaskName, birthplace: str, force: bool, dry_run: bool, ask: Ask) -> None:
-    """Stop AGENT for good from starting a task whose record it has lost, because the task runs elsewhere.
-
-    An agent whose record of a task is damaged cannot know whether it gave the task away. It does not start the task,
-    even after a restart, until you decide: `forget` if the task runs elsewhere or is not wanted any more;
-    `pancakes task adopt` if it runs nowhere and should run on AGENT.
-
-    A forgotten task can still migrate to AGENT, and `pancakes task adopt` reverses the decision.
-
-    --force also drops a task whose hand-off to AGENT is in doubt because its source agent is gone; see also
-    `pancakes task forget-peer`.
-
-    \b
-    Example:
-        pancakes task forget agent1/ScanTarget --dry-run
-        pancakes task forget agent1/ScanTarget --force
-    """
-    with ask.client() as client:
-        body = Forget(name.target, birthplace, force=force)
-        if not (force or dry_run):
-            request(client, name.agent, msgspec.structs.replace(body, dry_run=True))
-        confirm(f"{name} would not start any more, and the state of it on {name.agent} is lost", force, dry_run)
-        reply = request(client, name.agent, msgspec.structs.replace(body, dry_run=dry_run))
-    _show_decided(ask, name, reply, DRY_RUN if dry_run else "forgotten")
-
-
 @click.command("forget-peer")
 @the_agent
 @click.argument("peer", metavar="PEER", type=AGENT_NAME)
-@force_option
+@yes_option
 @dry_run_option
 @orders_agents
 def forget_peer(agent: str, peer: str, force: bool, dry_run: bool, ask: Ask) -> None:
     """Drop the tasks on AGENT whose hand-off from PEER is in doubt, once PEER is gone.
 
     A robot that was lost or revoked may leave tasks behind whose hand-off is in doubt. AGENT keeps them, because PEER
-    may have committed the hand-off. If PEER is gone for good, first run those that you need on AGENT with
-    `pancakes task adopt`, then drop the others with this command.
+    may have committed the hand-off. If PEER is gone for good, first run those that you need with
+    `pancakes task recover AGENT/TASK`, then drop the others with this command.
 
     \b
     Example:
         pancakes task forget-peer agent1 stolen --dry-run
-        pancakes task forget-peer agent1 stolen --force
+        pancakes task forget-peer agent1 stolen --yes
     """
     with ask.client() as client:
         held = request(client, agent, Checkpoints("")).result
@@ -199,16 +135,11 @@ def forget_peer(agent: str, peer: str, force: bool, dry_run: bool, ask: Ask) -> 
         confirm(what, force, dry_run)
         rows = []
         for birthplace, name in (task_id.split("/") for task_id in left):
-            body = Forget(name, birthplace, dry_run=dry_run, force=True)
+            body = Forget(name, birthplace, dry_run=dry_run)
             reply = request(client, agent, body)
             done = DRY_RUN if dry_run else "forgotten"
             rows.append({"agent": agent, "task_id": reply.result["task_id"], "done": done, "number": reply.number})
     ask.printer.table(rows, tuple(rows[0]))
-
-
-def _show_decided(ask: Ask, name: TaskName, reply: Reply, done: str, **others: Any) -> None:
-    row = {"agent": name.agent, "task_id": reply.result["task_id"], "done": done, **others, "number": reply.number}
-    ask.printer.table([row], tuple(row))
 
 
 def _show_ledger(ledger: Mapping[str, Any], printer: Printer) -> None:

@@ -1,4 +1,4 @@
-"""`pancakes what-if move|rate|without`: show what a change would do, before you make it."""
+"""`pancakes what-if migrate|rate|without|allocate`: show what a change would do, before you make it."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final, TypeVar
 import click
 import msgspec
 
-from pancakes.control import LONGEST_S, SHORTEST_S, Describe, Measure, Migrate, Reschedule
+from pancakes.control import LONGEST_S, SHORTEST_S, Allocate, Describe, Measure, Migrate, Reschedule
 from pancakes.errors import ControlRefusedError, RemoteProtocolError
 from pancakes.tools.cli.agent_requests import request, request_result, resolve_service
 from pancakes.tools.cli.help_sections import SectionedGroup
@@ -36,6 +36,9 @@ _F = TypeVar("_F", bound=Callable[..., Any])
 
 BIDDING_S: Final = 10.0
 """The time limit for answers to requests that collect bids."""
+ALLOCATING_S: Final = 20.0
+"""The time limit for the answer to a request for a round of the allocation."""
+NO_SOLVER: Final = "the extra `allocation` is not installed on {agent}, or there are too many tasks"
 KEPT_APART: Final = ("device", "network", "log")
 """The services whose tasks never migrate."""
 
@@ -65,9 +68,10 @@ _cost_option = click.option(
 
 SECTIONS: Final = {
     "Commands": {
-        "move": "Show what a migration would do.",
+        "migrate": "Show what a migration would do.",
         "rate": "Show what another rate of a task would do.",
         "without": "Show what would happen if an agent left.",
+        "allocate": "Show which tasks the team would migrate now.",
     },
 }
 
@@ -93,15 +97,15 @@ def what_if() -> None:
 @_cost_option
 @_for_option
 @asks_agents_for(BIDDING_S)
-def move(name: TaskName, to: str, cost: str, for_s: float, ask: Ask) -> None:
+def migrate(name: TaskName, to: str, cost: str, for_s: float, ask: Ask) -> None:
     """Show what the migration of a running task to another agent would do.
 
     The neighbours are asked for bids first, as in the migration itself. The exit code is 1 if none would take the task.
 
     \b
     Example:
-        pancakes what-if move agent1/ScanTarget
-        pancakes what-if move agent1/ScanTarget --to agent2 --for 20s
+        pancakes what-if migrate agent1/ScanTarget
+        pancakes what-if migrate agent1/ScanTarget --to agent2 --for 20s
     """
     from pancakes.tools.forecast import forecast_move
 
@@ -173,6 +177,53 @@ def without(agent: str, cost: str, for_s: float, ask: Ask) -> None:
             rows.append({"task": target, "goes to": places[target], "cost": bid["cost"], "reason": ""})
         fleet = _measured(client, ask, for_s)
     _show(f"{agent} leaves", forecast_without(fleet, agent, places), ask.printer, {"tasks": rows})
+
+
+@what_if.command()
+@the_agent
+@asks_agents_for(ALLOCATING_S)
+def allocate(agent: str, ask: Ask) -> None:
+    """Show which tasks the team would migrate now, if AGENT began a round of the allocation.
+
+    All agents that take part bid as in the allocation itself, and nothing is migrated. With the extra `allocation`
+    installed on AGENT, the answer includes how far the result is from the best allocation.
+
+    \b
+    Example:
+        pancakes what-if allocate agent1
+    """
+    with ask.client() as client:
+        report = request_result(client, agent, Allocate(dry_run=True))
+    rows = [
+        {
+            "task": line["task"],
+            "is on": line["owner"],
+            "then on": line["winner"] or line["owner"],
+            "bid": line["bid"],
+            "bids": ", ".join(f"{name} {bid:g}" for name, bid in sorted(line["bids"].items(), key=_best_first)),
+            "reason": "; ".join([*([line["reason"]] if line["reason"] else []), *_refusals(line["refusals"])]),
+        }
+        for line in report["lines"]
+    ]
+    facts = [f"worth {report['value']:g}; if nothing is migrated, {report['present']:g}"]
+    if report["optimum"] is None:
+        facts.append(f"how far that is from the best allocation is not known: {NO_SOLVER.format(agent=agent)}")
+    else:
+        facts.append(f"{report['gap']:.1%} below the best allocation, which is worth {report['optimum']:g}")
+    notes = [f"{name} is left out: {why}" for name, why in report["ignored"].items()]
+    notes += [f"{name} takes no part" for name in report["silent"]]
+    if not report["agreed"]:
+        notes.append("the agents did not agree in time: some packets were lost, or a link is slow")
+    sections = {"Tasks": rows, "Allocation": "\n".join(facts), "Notes": "\n".join(notes)}
+    ask.printer.emit(report, sections)
+
+
+def _best_first(item: tuple[str, float]) -> tuple[float, str]:
+    return -item[1], item[0]
+
+
+def _refusals(refusals: Mapping[str, str]) -> list[str]:
+    return [f"{name} {why}" for name, why in refusals.items()]
 
 
 def _bids(client: Client, agent: str, target: str, to: str, cost: str) -> Mapping[str, Any]:

@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Any, Final
 import click
 
 from pancakes.errors import PancakesError
+from pancakes.events import Event
+from pancakes.packet import Cause, agent_of
 from pancakes.tools.cli.options import Duration, format_option
 from pancakes.tools.cli.output import Part, Printer, Rows
 from pancakes.tools.cli.streaming import load_packets, say
@@ -19,6 +21,7 @@ if TYPE_CHECKING:
     from pancakes.recording.causal_chains import ActuatorCommand
     from pancakes.recording.clock_alignment import MissionTime
     from pancakes.recording.reader import RecordingReader
+    from pancakes.recording.records import RecordedPacket
     from pancakes.tools.report.command_latency import Reaction, Reactions
 
 LONGEST: Final = 100
@@ -33,7 +36,7 @@ MOST_ALIKE: Final = 50
 @click.option("--type", "type_", metavar="TYPE", default="", help="Only commands to this actuator, such as motors.")
 @click.option("--task", metavar="ID", default="", help="Only commands of this task (BIRTHPLACE/NAME).")
 @click.option(
-    "--at", "at_s", metavar="TIME", type=Duration(),
+    "--time", "time_s", metavar="TIME", type=Duration(zero=True),
     help="The command of each actuator that was in force at this mission time: 42.5s, 2min.",
 )  # fmt: skip
 @click.option("--seq", metavar="N", type=click.IntRange(min=1), help="The commands with this number, as in --list.")
@@ -44,7 +47,7 @@ def why(path: Path, list_: bool, printer: Printer, **options: Any) -> None:
     """Show what led to the commands to actuators in a recording, and how long that took.
 
     Without options it shows the kinds of chains that led to commands, with the distribution of the latency from the
-    first cause to the command. With --at, --seq or --slowest it shows single commands: the chain of packets back to
+    first cause to the command. With --time, --seq or --slowest it shows single commands: the chain of packets back to
     the sensor reading, with the body of each packet, its travel time between agents, and the time in a mailbox and in
     a handler until the next packet was published. Mission time is that of the whole recording, as in its report: it
     does not begin again when an agent is restarted.
@@ -52,15 +55,15 @@ def why(path: Path, list_: bool, printer: Printer, **options: Any) -> None:
     \b
     Example:
         pancakes why runs/encirclement-1-virtual/recording
-        pancakes why recordings --agent agent1 --at 42.5s
+        pancakes why recordings --agent agent1 --time 42.5s
         pancakes why recordings --type motors --slowest 3
         pancakes why recordings --list --format json
     """
     from pancakes.recording.reader import RecordingReader
 
-    single = [options[name] for name in ("at_s", "seq", "slowest") if options[name] is not None]
+    single = [options[name] for name in ("time_s", "seq", "slowest") if options[name] is not None]
     if len(single) + list_ > 1:
-        raise click.UsageError("--at, --seq, --slowest and --list exclude each other: use only one of them")
+        raise click.UsageError("--time, --seq, --slowest and --list exclude each other: use only one of them")
     load_packets()
     reader = RecordingReader(path)
     question = _CommandQuestion(reader, **options)
@@ -86,18 +89,19 @@ class _CommandQuestion:
     def __init__(
         self,
         reader: RecordingReader,
-        at_s: float | None,
+        time_s: float | None,
         seq: int | None,
         slowest: int | None,
         **filters: str,
     ) -> None:
         from pancakes.tools.report.command_latency import Reactions
 
-        self.at_s, self.seq, self.slowest = at_s, seq, slowest
+        self.time_s, self.seq, self.slowest = time_s, seq, slowest
         self.found: Reactions = Reactions()
         self.time = reader.mission_time()
         self._reader = reader
         self._filters = filters
+        self.filtered = _FilterEvents()
         self._others: set[str] = set()
 
     def commands(self) -> Iterator[ActuatorCommand]:
@@ -106,6 +110,7 @@ class _CommandQuestion:
 
         chains = CommandChains()
         for entry in self._reader.entries():
+            self.filtered.add(entry)
             yield from self._matching(chains.add(entry))
         yield from self._matching(chains.close())
 
@@ -125,6 +130,34 @@ class _CommandQuestion:
                 yield command
             else:
                 self._others.add(f"{command.agent} {command.packet.type}" + (f" of {task_id}" if task_id else ""))
+
+
+class _FilterEvents:
+    """Collect what filters of actuators did: their events `command_filtered` on `log`."""
+
+    def __init__(self) -> None:
+        self._of: dict[tuple[str, str, str], list[tuple[int, Cause | None, str, str]]] = {}
+
+    def add(self, entry: RecordedPacket) -> None:
+        """Take any packet of the recording."""
+        packet = entry.packet
+        body = packet.body
+        if not (isinstance(body, Event) and body.kind == "command_filtered"):
+            return
+        device, name, doing, reason = (str(body.fields.get(key, "")) for key in ("device", "filter", "doing", "reason"))
+        seen = self._of.setdefault((agent_of(packet.source), device, name), [])
+        seen.append((entry.time_ns, packet.cause, doing, reason))
+
+    def at(self, command: ActuatorCommand) -> list[dict[str, str]]:
+        """Return which filters of the agent changed or held commands when a command came, and why."""
+        cause = (command.packet.source, command.packet.seq)
+        found = []
+        for (agent, device, name), seen in sorted(self._of.items()):
+            # What a command itself leads to is recorded after it.
+            before = [it for it in seen if it[0] <= command.time_ns or it[1] == cause]
+            if agent == command.agent and before and before[-1][2] != "passes":
+                found.append({"device": device, "filter": name, "doing": before[-1][2], "reason": before[-1][3]})
+        return found
 
 
 def _show_kinds(question: _CommandQuestion, printer: Printer) -> None:
@@ -148,14 +181,20 @@ def _show_kinds(question: _CommandQuestion, printer: Printer) -> None:
 def _show_chains(question: _CommandQuestion, printer: Printer) -> None:
     chosen, more = _choose(question)
     rows = [
-        {**_row(it, question.time), "chain": _steps(it, question.time), "alike": _alike(question, it)} for it in chosen
+        {
+            **_row(it, question.time),
+            "chain": _steps(it, question.time),
+            "alike": _alike(question, it),
+            "filtered": question.filtered.at(it),
+        }
+        for it in chosen
     ]
     printer.emit(rows, *map(_parts, rows))
     if more:
         say(f"{more:,} more match: narrow them with --agent and --type, or see all with --list")
     if question.found.commands and not chosen:
-        at_s = question.at_s
-        condition = f"before {at_s:g} s of mission time" if at_s is not None else f"with the number {question.seq}"
+        time_s = question.time_s
+        condition = f"before {time_s:g} s of mission time" if time_s is not None else f"with the number {question.seq}"
         if question.slowest is not None:
             condition = "that answers a recorded packet"
         raise PancakesError(f"the recording has no such command {condition}")
@@ -163,7 +202,7 @@ def _show_chains(question: _CommandQuestion, printer: Printer) -> None:
 
 def _choose(question: _CommandQuestion) -> tuple[list[ActuatorCommand], int]:
     """Return the commands to show, and how many more match."""
-    at_s, slowest = question.at_s, question.slowest
+    time_s, slowest = question.time_s, question.slowest
     if slowest is not None:
         heap: list[tuple[float, int, ActuatorCommand]] = []
         for number, command in enumerate(question.commands()):
@@ -175,7 +214,7 @@ def _choose(question: _CommandQuestion) -> tuple[list[ActuatorCommand], int]:
     matching: list[ActuatorCommand] = []
     more = 0
     for command in question.commands():
-        if at_s is not None and question.time.at(command.time_ns) <= at_s:
+        if time_s is not None and question.time.at(command.time_ns) <= time_s:
             newest[command.agent, command.packet.type] = command
         elif question.seq in (command.packet.seq, command.packet.number):
             matching = [*matching, command][:MOST_ALIKE]
@@ -241,6 +280,8 @@ def _parts(row: dict[str, Any]) -> Iterator[Part]:
 
     of = f" for {row['task_id']}" if row["task_id"] else ""
     yield f"{row['agent']} {row['type']} at {row['mission_s']:.3f} s, from {row['source']}{of} (#{row['number']})"
+    for it in row["filtered"]:
+        yield f"the filter {it['filter']} of {it['device']} {it['doing']} commands at this moment: {it['reason']}"
     if row["cause"] is None:
         yield "it answers no recorded packet: a timer led to it, or its cause is not in the recording"
     last = len(row["chain"]) - 1

@@ -34,7 +34,7 @@
     const some = byTime.length < actuator.count;
     find("picker-left-out").textContent = some
       ? `${actuator.count.toLocaleString("en")} commands; of these ${byTime.length.toLocaleString("en")} can be picked: one of ${actuator.stride}, and the slowest. ` +
-        `Any other: pancakes why FILE --agent ${actuator.agent} --type ${actuator.type} --at TIME`
+        `Any other: pancakes why FILE --agent ${actuator.agent} --type ${actuator.type} --time TIME`
       : `${actuator.count.toLocaleString("en")} commands, all of which can be picked.`;
     pick(Math.min(place, byTime.length - 1));
   }
@@ -173,6 +173,8 @@
     pick(order[rank]);
   });
   window.addEventListener("resize", draw);
+  // What is folded away has no size.
+  box.closest("details")?.addEventListener("toggle", () => actuator && draw());
   dark.addEventListener("change", draw);
   box.hidden = false;
   if (data.actuators.length) choose(0);

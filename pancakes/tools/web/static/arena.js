@@ -57,6 +57,7 @@ export class Arena {
     pen.restore();
     if (this.layers.circles) this.#circles(picture);
     const names = [...picture.table("body").keys()].filter((name) => this.glides.has(name));
+    for (const name of picture.table("dock").keys()) this.#dock(picture, name);
     for (const name of names) this.#body(picture, name, now);
     if (this.layers.names) {
       // The selected body comes first, so that its label always finds room.
@@ -148,13 +149,13 @@ export class Arena {
     }
     pen.stroke();
     if (picture.get("arena")) {
-      pen.strokeStyle = this.ink(0.35);
+      pen.strokeStyle = this.ink(0.55);
       pen.lineWidth = 2;
       pen.beginPath();
       pen.roundRect(left, top, right - left, bottom - top, 6);
       pen.stroke();
     }
-    this.#text(`${step} m`, left + 8, bottom - 8, this.ink(0.4), "11px system-ui", "left");
+    this.#text(`${step} m`, left + 8, bottom - 8, this.ink(0.75), "11px system-ui", "left");
     this.labels.take(left + 8, bottom - 20, left + 44, bottom - 4);
   }
 
@@ -169,7 +170,7 @@ export class Arena {
       for (let part = 0; part < 3; part += 1) {
         const first = Math.floor((points.length * part) / 3);
         const last = Math.floor((points.length * (part + 1)) / 3);
-        pen.strokeStyle = mover ? this.ink(0.08 + 0.04 * part) : colour(name, 0.2 + 0.22 * part);
+        pen.strokeStyle = mover ? this.ink(0.1 + 0.08 * part) : colour(name, 0.3 + 0.25 * part);
         pen.beginPath();
         points.slice(Math.max(0, first - 1), last).forEach((point, index) => {
           const [x, y] = this.#pixel(point);
@@ -188,7 +189,7 @@ export class Arena {
       const [px, py] = this.#pixel([x, y]);
       pen.setLineDash([5, 5]);
       pen.lineWidth = 1.5;
-      pen.strokeStyle = colour(agent, 0.75);
+      pen.strokeStyle = colour(agent);
       pen.beginPath();
       pen.arc(px, py, radius * this.scale, 0, 2 * Math.PI);
       pen.stroke();
@@ -200,7 +201,7 @@ export class Arena {
     for (const [name, [x, y, radius]] of picture.table("circle")) {
       const [agent, task] = name.split("/");
       const [px, py] = this.#pixel([x, y]);
-      const rows = [{ text: `${task} · ${radius} m`, style: colour(agent, 0.95), font: "11px system-ui" }];
+      const rows = [{ text: `${task} · ${radius} m`, style: colour(agent), font: "11px system-ui" }];
       const width = this.#widthOf(rows);
       const off = radius * this.scale;
       const above = [0, LINE, 2 * LINE].map((more) => [px, py - off - LINE / 2 - more]);
@@ -244,7 +245,8 @@ export class Arena {
       const ring = picture.get("ring", key);
       if (!ring || !picture.get("body", agent)) continue;
       const body = this.#place(agent, now);
-      const edge = picture.get("shape", agent)?.radius_m || 0.07;
+      // Rings measure from the edge of the body; a laser scanner stands about its middle.
+      const edge = type === "laser_scan" ? 0 : picture.get("shape", agent)?.radius_m || 0.07;
       ranges.forEach((range, index) => {
         const angle = body[2] + ring.bearings_rad[index];
         const hit = range < ring.max_m * 0.97;
@@ -264,6 +266,27 @@ export class Arena {
     }
   }
 
+  /** A dock is a frame, full while it charges a robot, dashed while it is free. */
+  #dock(picture, name) {
+    const { pen } = this;
+    const [x_m, y_m, state, robot] = picture.get("dock", name);
+    const [x, y] = this.#pixel([x_m, y_m]);
+    const half = Math.max(LEAST_RADIUS, 0.1 * this.scale);
+    pen.save();
+    pen.lineWidth = 2;
+    pen.strokeStyle = robot ? colour(robot) : this.ink(0.5);
+    pen.setLineDash(state === "free" ? [4, 3] : []);
+    pen.beginPath();
+    pen.roundRect(x - half, y - half, 2 * half, 2 * half, 4);
+    if (state === "charging") {
+      pen.fillStyle = colour(robot, 0.25);
+      pen.fill();
+    }
+    pen.stroke();
+    pen.restore();
+    if (this.layers.names) this.#text(name, x, y - half - 6, this.ink(0.75), "11px system-ui");
+  }
+
   #body(picture, name, now) {
     const { pen } = this;
     const body = this.#place(name, now);
@@ -280,7 +303,7 @@ export class Arena {
       pen.stroke();
     }
     pen.rotate(-body[2]);
-    pen.fillStyle = shape.kind === "mover" ? this.ink(0.45) : colour(name);
+    pen.fillStyle = shape.kind === "mover" ? this.ink(0.55) : colour(name);
     pen.strokeStyle = dark.matches ? "rgb(14 16 20 / .9)" : "rgb(255 255 255 / .95)";
     pen.lineWidth = 2;
     pen.beginPath();
@@ -313,9 +336,9 @@ export class Arena {
     const shape = picture.get("shape", name) || { kind: "robot" };
     const [x, y] = this.#pixel(body);
     const radius = Math.max(LEAST_RADIUS, (shape.radius_m || 0.07) * this.scale);
-    const style = shape.kind === "mover" ? this.ink(0.55) : colour(name);
+    const style = shape.kind === "mover" ? this.ink(0.75) : colour(name);
     const rows = [{ text: name, style, font: crowd ? "10px system-ui" : "600 12px system-ui" }];
-    if (body[3] && (!crowd || name === this.selected)) rows.push({ text: body[3], style: this.ink(0.6), font: "11px system-ui" });
+    if (body[3] && (!crowd || name === this.selected)) rows.push({ text: body[3], style: this.ink(0.75), font: "11px system-ui" });
     const width = this.#widthOf(rows);
     const middles = around(x, y, radius + 3, width, rows.length * LINE);
     const middle = this.#label(name, rows, width, middles);

@@ -1,19 +1,25 @@
 // A card for each agent: its name and role, its figures, its tasks.
 
+import { Spark } from "./spark.js";
 import { OWN_SERVICES, RUNNING } from "./state.js";
+import { measured, rounded } from "./units.js";
 import { colour, guardians, h, hertz, percent, permit, say, set, show, still } from "./words.js";
 
 const FLIGHT_MS = 1100;
 const SLOW = 0.8;
+/** On this many cards there is no room for more than one small line each. */
+const MANY = 8;
 
 export class Cards {
   /**
    * @param {HTMLElement} box Contains the cards.
-   * @param {{select: Function, why: Function, act: Function}} asks Called when a person clicks something.
+   * @param {{select: Function, why: Function, act: Function, plot: Function}} asks Called when a person clicks something.
    */
   constructor(box, asks) {
     this.box = box;
     this.asks = asks;
+    this.found = null;
+    this.selected = "";
     this.cards = new Map();
     this.control = false;
   }
@@ -31,6 +37,7 @@ export class Cards {
     for (const name of agents) {
       if (!this.cards.has(name)) {
         this.cards.set(name, new Card(name, this));
+        this.cards.get(name).root.classList.toggle("selected", name === this.selected);
         changed = true;
         this.cards.get(name).render(picture);
       } else if (!touched || touched.has(name)) {
@@ -38,7 +45,41 @@ export class Cards {
       }
     }
     if (changed) agents.forEach((name) => this.box.append(this.cards.get(name).root));
-    this.box.classList.toggle("many", agents.length > 8);
+    this.box.classList.toggle("many", this.#many());
+    document.body.classList.toggle("crowd", this.#many());
+  }
+
+  #many() {
+    return this.cards.size > MANY;
+  }
+
+  /** Shows only what a search finds (null: everything); returns how many agents and tasks it finds. */
+  search(found) {
+    this.found = found;
+    let [agents, tasks] = [0, 0];
+    for (const card of this.cards.values()) {
+      tasks += card.search(found);
+      if (!card.root.hidden) agents += 1;
+    }
+    return { agents, tasks };
+  }
+
+  /** Returns the names of the series that cards show now. */
+  series() {
+    const seen = [...this.cards.values()].filter((card) => !card.root.hidden);
+    return seen.flatMap((card) => card.sparks.map((spark) => spark.name).filter((name) => !this.#many() || name.endsWith(" late_ms")));
+  }
+
+  /** Draws the small lines as far as a moment. */
+  drawSparks(series, moment) {
+    for (const card of this.cards.values()) {
+      if (card.root.hidden) continue;
+      for (const spark of card.sparks) {
+        const points = series.get(spark.name);
+        show(spark.root, points.t.length > 1);
+        if (points.t.length > 1) spark.draw(points, moment);
+      }
+    }
   }
 
   allow(control) {
@@ -48,6 +89,7 @@ export class Cards {
   }
 
   select(name) {
+    this.selected = name;
     for (const [other, card] of this.cards) card.root.classList.toggle("selected", other === name);
   }
 
@@ -94,12 +136,23 @@ class Card {
     this.cards = cards;
     this.chips = new Map();
     this.whyButton = h("button.quiet", { type: "button", onclick: () => cards.asks.why(name), title: "What led to the command to its actuators at this moment?" }, "Why?");
+    this.driven = "";
+    this.driveButton = h("button.quiet", { type: "button", hidden: true, onclick: () => cards.asks.act(name, this.driven), title: "Drive it by hand" }, "Drive …");
     this.state = h("span.badge");
     this.bar = h("meter", { min: 0, max: 1, low: 0.35, high: 0.65, optimum: 1 });
     this.level = h("span.figure");
-    this.battery = h("div.battery", {}, h("span.dim", {}, "battery"), this.bar, this.level);
+    const spark = (figure, about, top) => new Spark(`${name} ${figure}`, `${about} of ${name}`, top, cards.asks.plot);
+    const [charge, processor, late] = [
+      spark("battery_percent", "battery", () => 100),
+      spark("processor_percent", "processor", (most) => Math.max(100, most)),
+      spark("late_ms", "lateness", (most) => Math.max(1, most)),
+    ];
+    this.sparks = [charge, processor, late];
+    for (const it of this.sparks) it.root.hidden = true;
+    this.battery = h("div.battery", {}, h("span.dim", {}, "battery"), this.bar, this.level, charge.root);
     this.figures = h("dl.figures");
     this.values = new Map();
+    this.beside = new Map([["processor", processor], ["late", late]]);
     this.links = h("p.links.dim");
     this.tasks = h("ul.tasks", { "aria-label": `Tasks of ${name}` });
     this.nothing = h("p.nothing.dim", {}, "runs no task of its own");
@@ -109,13 +162,13 @@ class Card {
     this.root = h(
       "article.card.panel",
       { "aria-label": `Agent ${name}`, "data-agent": name, onclick: (event) => this.#click(event) },
-      h("div.top", {}, h("i.dot"), h("h3", {}, name), this.state, h("span.grow"), this.whyButton),
+      h("div.top", {}, h("i.dot"), h("h3", {}, name), this.state, h("span.grow"), this.driveButton, this.whyButton),
       this.battery,
       this.tasks,
       this.nothing,
       this.figures,
       this.links,
-      h("details", {}, this.summary, this.services, this.own),
+      (this.details = h("details", {}, this.summary, this.services, this.own)),
     );
   }
 
@@ -132,8 +185,28 @@ class Card {
     for (const chip of this.chips.values()) chip.allow(control);
   }
 
+  /** Shows the card if a search finds the agent or a task of it; returns how many tasks it finds. */
+  search(found) {
+    const whole = !found || found(this.name, this.role);
+    let tasks = 0;
+    let own = false;
+    for (const chip of this.chips.values()) {
+      const fits = Boolean(found) && found(this.name, chip.task, chip.row.type ?? "", chip.row.state);
+      chip.root.hidden = !whole && !fits;
+      chip.root.classList.toggle("found", fits && !found(this.name, this.role));
+      if (fits) tasks += 1;
+      own = own || (fits && !whole && chip.isOwn);
+    }
+    this.root.hidden = !whole && !tasks;
+    // A task that is found must be seen, also among those of the agent's services.
+    if (own) this.details.open = this.opened = true;
+    else if (!found && this.opened) this.details.open = this.opened = false;
+    return tasks;
+  }
+
   render(picture) {
     const row = picture.get("agent", this.name);
+    this.role = row.role;
     this.root.style.setProperty("--tint", colour(this.name));
     set(this.root, "data-state", row.state);
     set(this.root, "data-role", row.role);
@@ -143,26 +216,33 @@ class Card {
     if (battery) {
       this.bar.value = battery[1];
       set(this.bar, "aria-label", `battery of ${this.name}`);
-      say(this.level, `${percent(battery[1])}${battery[0] === null ? "" : ` · ${battery[0].toFixed(2)} V`}`);
+      const volts = battery[0] === null ? "" : ` · ${battery[0].toFixed(2)} V`;
+      say(this.level, `${percent(battery[1])}${volts}${battery[2] ? " · charging" : ""}`);
     }
     show(this.whyButton, Boolean(picture.get("commands", this.name)));
+    const dock = picture.get("dock", this.name);
+    this.#figure("dock", dock ? `${dock[2]} ${dock[3]}`.trim() : null);
+    this.#figure("reserve", row.reserve_s === undefined ? null : `${row.reserve_s} s`);
+    this.#figure("charging", row.charge_trouble || null, true);
     this.#figure("processor", row.processor === null || row.processor === undefined ? null : percent(row.processor));
     this.#figure("memory", row.memory_mib ? `${Math.round(row.memory_mib)} MiB` : null);
-    this.#figure("late", row.late_ms === null || row.late_ms === undefined ? null : `${row.late_ms.toFixed(1)} ms`);
+    this.#figure("late", row.late_ms === null || row.late_ms === undefined ? null : measured(row.late_ms, "ms"));
     this.#figure("missed ticks", row.missed || null);
     this.#figure("dropped", row.dropped || null);
     this.#figure("dead letters", row.dead_letters || null, true);
     this.#figure("not encrypted", row.insecure || null, true);
     this.#figure("version", picture.versions().size > 1 ? row.version : null, true);
     const links = picture.linksOf(this.name);
-    const few = links.slice(0, 6).map(([peer, ms]) => (ms < 0 ? peer : `${peer} ${ms} ms`));
+    const few = links.slice(0, 6).map(([peer, ms]) => (ms < 0 ? peer : `${peer} ${measured(ms, "ms")}`));
     say(this.links, links.length ? `links: ${few.join(" · ")}${links.length > 6 ? ` and ${links.length - 6} more` : ""}` : "no links");
     this.#renderTasks(picture);
+    if (this.cards.found) this.search(this.cards.found);
   }
 
   #renderTasks(picture) {
     const rows = picture.tasksOf(this.name);
     let [own, users, running] = [0, 0, 0];
+    this.driven = "";
     for (const [key, chip] of this.chips) {
       if (rows.has(key)) continue;
       chip.root.remove();
@@ -174,6 +254,7 @@ class Card {
       if (isOwn) own += 1;
       else users += 1;
       if (isOwn && row.state === RUNNING) running += 1;
+      if (row.driven_by !== undefined && row.state === RUNNING) this.driven ||= key;
       let chip = this.chips.get(key);
       if (!chip) {
         chip = new Chip(this.name, key, this.cards, picture.get("agent", this.name).role);
@@ -184,6 +265,7 @@ class Card {
     this.#order(this.tasks, false);
     this.#order(this.own, true);
     show(this.nothing, users === 0);
+    show(this.driveButton, Boolean(this.cards.control && this.driven));
     const services = [...(picture.services.get(this.name) || new Map())].sort(([one], [other]) => (one < other ? -1 : 1));
     say(this.services, `services: ${services.map(([name, [state]]) => (state === RUNNING ? name : `${name} (${state})`)).join(", ")}`);
     const stopped = services.filter(([, [state]]) => state !== RUNNING);
@@ -207,7 +289,7 @@ class Card {
     if (!value) {
       value = { term: h("dt", {}, name), text: h("dd") };
       this.values.set(name, value);
-      this.figures.append(h("div", {}, value.term, value.text));
+      this.figures.append(h("div", {}, value.term, value.text, ...(this.beside.has(name) ? [this.beside.get(name).root] : [])));
     }
     show(value.term.parentElement, text !== null);
     say(value.text, String(text ?? ""));
@@ -247,15 +329,16 @@ class Chip {
     else if (wanted) rate = reached === null || reached === undefined ? `${hertz(wanted)} Hz` : `${hertz(reached)} of ${hertz(wanted)} Hz`;
     say(this.rate, rate);
     this.rate.classList.toggle("warn", row.rest === "disputed" || Boolean(wanted) && reached !== null && reached < SLOW * wanted);
-    const stands = row.state === RUNNING && row.rest;
-    say(this.notes, stands ? row.rest : row.restarts ? `${row.restarts}× restarted` : "");
+    const held = (row.filters || []).find(({ doing }) => doing === "holds");
+    const stands = row.state === RUNNING && (row.rest || (row.driven_by && `driven by ${row.driven_by}`) || (held && `held by ${held.filter}`));
+    say(this.notes, stands ? stands : row.restarts ? `${row.restarts}× restarted` : "");
     show(this.guards, Boolean(row.guards));
     if (row.guards) {
       const troubled = stands || row.guards.by.length < row.guards.wanted || row.guards.by.some(([, , answers]) => !answers);
       say(this.guards, `${guardians(row.guards)}${permit(row.guards)}`);
       this.guards.classList.toggle("warn", troubled);
     }
-    const late = row.late_ms === null || row.late_ms === undefined ? "" : `, ${row.late_ms} ms late in the mean`;
+    const late = row.late_ms === null || row.late_ms === undefined ? "" : `, ${rounded(row.late_ms)} ms late in the mean`;
     set(this.button, "title", `${row.type || this.task}: ${row.rest || row.state}${row.reason ? `, ${row.reason}` : ""}${late}${row.missed ? `, ${row.missed} ticks missed` : ""}${row.dropped ? `, ${row.dropped} packets dropped` : ""}`);
     set(this.button, "aria-label", `${this.task} on ${this.agent}, ${row.rest || row.state}${rate && row.state === RUNNING ? `, ${rate}` : ""}`);
   }

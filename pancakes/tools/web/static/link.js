@@ -2,14 +2,16 @@
 
 const AGAIN_MS = 1000;
 const PATIENCE_MS = 35000;
+/** The server closes the connection with this code if it wants the password. */
+const NEEDS_PASSWORD = 4401;
 /** The longest message that the server takes, in bytes. */
 const LONGEST = 16 * 1024;
 
 export class Link {
   /**
    * @param {string} token The token in the address of the page, which the server requires.
-   * @param {{frame: Function, state: Function}} listener Takes frames, and "open" (with the greeting) or "closed"
-   *   (with the server's reason, if it gave one).
+   * @param {{frame: Function, state: Function}} listener Takes frames, and "open" (with the greeting), "closed" (with the
+   *   server's reason, if it gave one), or "password": the server wants it, and `retry` tries again.
    */
   constructor(token, listener) {
     this.token = token;
@@ -38,15 +40,25 @@ export class Link {
     });
   }
 
+  /** Tries again now, after the person has signed in. */
+  retry() {
+    this.#open();
+  }
+
   #open() {
-    this.socket = new WebSocket(`ws://${location.host}/news`);
+    const scheme = location.protocol === "https:" ? "wss" : "ws";
+    this.socket = new WebSocket(`${scheme}://${location.host}/news`);
     this.socket.onmessage = (event) => this.#take(JSON.parse(event.data));
     this.socket.onopen = async () => {
       const greeting = await this.ask("hello", { token: this.token });
-      this.listener.state("open", greeting.result || { control: false, title: "" });
+      if (greeting.ok) this.listener.state("open", greeting.result);
     };
     this.socket.onclose = (event) => {
       for (const id of [...this.waiting.keys()]) this.#settle(id, "the page has lost its server");
+      if (event.code === NEEDS_PASSWORD) {
+        this.listener.state("password", event.reason);
+        return;
+      }
       this.listener.state("closed", event.reason);
       setTimeout(() => this.#open(), AGAIN_MS);
     };

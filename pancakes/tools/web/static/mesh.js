@@ -41,9 +41,9 @@ export class Mesh {
     const few = agents.length <= LABELLED;
     this.#lay(agents, width, height, few);
     const links = [...picture.table("link")];
-    if (few) this.#lines(links, false, `rgb(${ink} / 0.22)`, 2);
+    if (few) this.#lines(links, false, `rgb(${ink} / 0.55)`, 1.5);
     else for (const name of agents) this.#lines(links.filter(([pair]) => pair.startsWith(`${name}/`)), false, `rgb(${ink} / 0.07)`, 0.7);
-    this.#lines(links, true, `rgb(${ink} / ${few ? 0.7 : 0.45})`, few ? 2 : 1);
+    this.#lines(links, true, `rgb(${ink} / ${few ? 0.85 : 0.6})`, few ? 2.5 : 1);
     pen.font = "11px system-ui";
     pen.textAlign = "center";
     for (const [pair, ms] of links) {
@@ -163,7 +163,7 @@ export class Mesh {
     pen.fillText(text, from, 4);
     if (trip !== undefined) {
       const wide = pen.measureText(text).width;
-      pen.fillStyle = `rgb(${ink} / .6)`;
+      pen.fillStyle = `rgb(${ink} / .75)`;
       pen.font = "10px system-ui";
       pen.fillText(`${trip} ms`, from + side * (wide + 5), 4);
     }

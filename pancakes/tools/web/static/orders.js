@@ -122,7 +122,7 @@ export class Orders {
     const others = this.agents().filter((name) => name !== agent);
     if (runs && others.length && !OWN_SERVICES.has(service)) {
       const where = h("select", { "aria-label": "Agent to move it to" }, ...others.map((name) => h("option", {}, name)));
-      box.append(h("div.action", {}, h("span", {}, "Move to"), where, button("Ask …", () => this.move(agent, key, where.value))));
+      box.append(h("div.action", {}, h("span", {}, "Move to"), where, button("Move …", () => this.move(agent, key, where.value))));
     }
     const life = h("div.action", {}, h("span", {}, runs ? "It runs" : `It is ${row.rest || row.state}`));
     if (runs) life.append(button("Restart", () => tell("restart", "it runs again")), button("Stop", () => tell("stop", "it has stopped")));

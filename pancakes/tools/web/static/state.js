@@ -54,7 +54,7 @@ export class Picture {
       return;
     }
     put(this.table(kind), rest, value);
-    if (kind === "agent" || kind === "battery" || kind === "commands") touched.add(rest);
+    if (kind === "agent" || kind === "battery" || kind === "dock" || kind === "commands") touched.add(rest);
     else if (kind === "link") for (const name of rest.split("/")) touched.add(name);
     else if (kind === "body" && value) this.#extend(rest, value);
   }

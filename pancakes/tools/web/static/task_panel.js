@@ -1,8 +1,11 @@
 // One task, while a person looks at it: its state as it changes, its rates and its settings.
 
+import { DrivePad } from "./drive_pad.js";
 import { FieldForm, changesOf } from "./field_form.js";
 import { RUNNING } from "./state.js";
-import { guardians, h, hertz, say, show } from "./words.js";
+import { TreeView } from "./tree.js";
+import { rounded, tidy } from "./units.js";
+import { guardians, h, hertz, say, set, show } from "./words.js";
 
 const LOOK_MS = 1000;
 /** A task is asked again after this many times the duration of its last answer, so a slow task is asked less often. */
@@ -13,12 +16,14 @@ const RATE = { kind: "number", type: "number", bounds: "from 0 to 10,000", unit:
 export class TaskPanel {
   /**
    * @param {Link} link Asks the server.
-   * @param {HTMLDialogElement} dialog Shows the panel.
+   * @param {HTMLDialogElement} dialog Shows the panel, beside the arena.
    * @param {Orders} orders The other orders for a task.
    * @param {Timeline} timeline Has the moment that the page shows.
    * @param {Function} shown Returns the picture of that moment.
+   * @param {Function} plot Plots a series.
    */
-  constructor(link, dialog, orders, timeline, shown) {
+  constructor(link, dialog, orders, timeline, shown, plot) {
+    this.plot = plot;
     this.link = link;
     this.dialog = dialog;
     this.orders = orders;
@@ -27,27 +32,39 @@ export class TaskPanel {
     this.root = null;
   }
 
+  /** Returns the address of the task that is shown; empty if none is. */
+  get task() {
+    return this.root && this.#isOpen(this.root) ? `${this.agent}/${this.key}` : "";
+  }
+
   /** Shows a task, until the dialog is closed or shows something else. */
   open(agent, key) {
     [this.agent, this.key] = [agent, key];
     this.told = null;
     this.facts = new Rows();
     this.actions = h("div");
+    this.pad?.end();
+    this.pad = new DrivePad(this.link, agent, key.split("/")[1]);
     this.did = "";
     this.age = h("small.dim");
     this.missing = h("p.dim.missing");
     this.rows = new Rows();
+    this.tree = new TreeView();
     this.kept = h("div.state", { tabindex: 0, role: "group", "aria-label": "Fields of the state" }, this.rows.root);
     this.state = h("section", { "aria-label": "State" }, h("h3", {}, "State ", this.age), this.kept, this.missing);
     this.rates = new FieldForm("Rates", (fields, dry) => this.#setRates(fields, dry));
     this.settings = new FieldForm("Settings", (fields, dry) => this.#configure(fields, dry));
     this.said = h("p.said", { role: "status" });
-    const close = h("form.closing", { method: "dialog" }, h("button", {}, "Close"));
-    this.root = h("div", {}, this.facts.root, this.actions, this.said, this.state, this.rates.root, this.settings.root);
-    this.dialog.replaceChildren(h("h2", { id: "dialog-title" }, `${key.split("/")[1]} on ${agent}`), this.root, close);
+    const close = h("form.closing", { method: "dialog" }, h("h2", { id: "inspector-title" }, `${key.split("/")[1]} on ${agent}`), h("button", {}, "Close"));
+    const plots = [["rate", "rate_hz"], ["lateness", "late_ms"]].map(([text, figure]) =>
+      h("button.quiet", { type: "button", onclick: () => this.plot(`${agent}/${key} ${figure}`) }, `Plot its ${text}`),
+    );
+    this.plotted = h("p.plotted", { hidden: true }, ...plots);
+    this.root = h("div", {}, this.facts.root, this.plotted, this.actions, this.said, ...(this.orders.control ? [this.pad.root] : []), this.tree.root, this.state, this.rates.root, this.settings.root);
+    this.dialog.replaceChildren(close, this.root);
     say(this.missing, "asking …");
     this.#draw();
-    if (!this.dialog.open) this.dialog.showModal();
+    if (!this.dialog.open) this.dialog.show();
     this.#follow(this.root);
   }
 
@@ -73,9 +90,10 @@ export class TaskPanel {
   #take({ ok, reason, result }, live) {
     this.told = ok ? result : { state: null, no_state: reason };
     const { state, no_state, settings, timers, left_out } = this.told;
-    this.rows.show(state ? state.rows : []);
+    this.rows.show(state ? state.rows.map(([name, text]) => [name, tidy(text), text]) : []);
+    this.tree.show(state ? state.tree : []);
     show(this.kept, Boolean(state && state.rows.length));
-    const nothing = state && !state.rows.length ? "Its state is empty." : "";
+    const nothing = state && !state.rows.length && !state.tree.length ? "Its state is empty." : "";
     const cut = state && state.cut ? `Parts are cut. See all: pancakes task info ${this.agent}/${this.key} --state --format json` : "";
     say(this.missing, [no_state, nothing, cut].filter(Boolean).join(" "));
     show(this.missing, Boolean(no_state || nothing || cut));
@@ -103,6 +121,9 @@ export class TaskPanel {
     const row = this.#row();
     this.facts.show(row ? factsOf(this.agent, this.key, row) : [["agent", this.agent], ["state", "it is not on this agent"]]);
     const { live } = this.timeline;
+    show(this.plotted, Boolean(row && row.rate_hz));
+    const drivable = row && row.state === RUNNING && row.driven_by !== undefined;
+    this.pad.render(Boolean(drivable && this.orders.control && live), row?.driven_by);
     const does = this.orders.control && live && row ? row.state : "";
     if (does !== this.did) {
       const held = this.actions.contains(document.activeElement);
@@ -155,7 +176,11 @@ class Rows {
       this.names = names;
       this.root.replaceChildren(...rows.flatMap(([name]) => [h("dt", {}, name), h("dd")]));
     }
-    rows.forEach(([, text], index) => say(this.root.children[2 * index + 1], text));
+    rows.forEach(([, text, whole], index) => {
+      const value = this.root.children[2 * index + 1];
+      say(value, text);
+      if (whole !== undefined) set(value, "title", whole);
+    });
   }
 }
 
@@ -172,8 +197,10 @@ function factsOf(agent, key, row) {
     ["service", key.split("/")[0]],
     ["type", row.type],
     ["state", `${row.rest || row.state}${row.reason ? `: ${row.reason}` : ""}`],
+    ["driven by", row.driven_by],
     ["needs", (row.requires || []).join(", ")],
   ];
+  for (const { filter, doing, why } of row.filters || []) facts.push([`filter ${filter}`, why ? `${doing}: ${why}` : doing]);
   if (row.guards) {
     facts.push(["guardians", guardians(row.guards).replace("guarded by ", "")]);
     facts.push(["permit", row.guards.permit_s > 0 ? `${row.guards.permit_s.toFixed(1)} s` : "none: the task is paused"]);
@@ -182,7 +209,7 @@ function factsOf(agent, key, row) {
   facts.push(
     ["rate wanted", known(row.rate_hz) ? `${hertz(row.rate_hz)} Hz` : null],
     ["rate reached", known(row.achieved_hz) ? `${hertz(row.achieved_hz)} Hz` : null],
-    ["late in the mean", known(row.late_ms) ? `${row.late_ms} ms` : null],
+    ["late in the mean", known(row.late_ms) ? `${rounded(row.late_ms)} ms` : null],
     ["ticks missed", row.missed],
     ["packets dropped", row.dropped],
     ["restarts", row.restarts],

@@ -1,12 +1,13 @@
 // Explains why an actuator was commanded: for any command of the last minutes, the chain of packets from the sensor
 // reading with the time of each step, and how long all such chains took.
 
+import { tidy } from "./units.js";
 import { clock, colour, h, say } from "./words.js";
 
 export class Why {
   /**
    * @param {Link} link Asks the server.
-   * @param {HTMLDialogElement} dialog Shows the explanation.
+   * @param {HTMLDialogElement} dialog Shows the explanation, beside the arena.
    * @param {Timeline} timeline Has the moment that the page shows, and goes to that of a command.
    */
   constructor(link, dialog, timeline) {
@@ -19,8 +20,14 @@ export class Why {
     dialog.addEventListener("close", () => (this.shown = null));
   }
 
+  /** Returns the agent that is explained; empty if none is. */
+  get agent() {
+    return this.dialog.open && this.chain?.isConnected ? this.name : "";
+  }
+
   /** Shows the command that was in force at the moment that the page shows. */
   async open(agent) {
+    this.name = agent;
     const moment = this.timeline.live ? {} : { t: this.timeline.t };
     this.said = h("p.said", { role: "status" }, "asking …");
     const button = (text, label, action) => h("button", { type: "button", "aria-label": label, title: label, onclick: action }, text);
@@ -32,9 +39,9 @@ export class Why {
     this.place = h("span.dim.grow");
     this.chain = h("div");
     this.nav = h("div.whynav", { hidden: true }, this.before, this.after, this.which, this.place, this.there, this.newest);
-    const close = h("form", { method: "dialog" }, h("button", {}, "Close"));
-    this.dialog.replaceChildren(h("h2", { id: "dialog-title" }, `Why was ${agent} commanded?`), this.nav, this.said, this.chain, close);
-    this.dialog.showModal();
+    const close = h("form.closing", { method: "dialog" }, h("h2", { id: "inspector-title" }, `Why was ${agent} commanded?`), h("button", {}, "Close"));
+    this.dialog.replaceChildren(close, this.nav, this.said, this.chain);
+    if (!this.dialog.open) this.dialog.show();
     this.shown = null;
     await this.#ask({ agent, ...moment });
   }
@@ -50,7 +57,7 @@ export class Why {
   }
 
   #key(event) {
-    if (!this.shown || event.target.closest("select, input")) return;
+    if (!this.shown || !this.chain.isConnected || event.target.closest("select, input")) return;
     if (event.key === "ArrowLeft") this.#step(-1);
     else if (event.key === "ArrowRight") this.#step(1);
     else if (event.key === "End") this.#ask({ agent: this.shown.agent });
@@ -61,7 +68,7 @@ export class Why {
   async #ask(what) {
     const number = ++this.asking;
     const { ok, reason, result } = await this.link.ask("explain", what);
-    if (number !== this.asking || !this.dialog.open) return;
+    if (number !== this.asking || !this.agent) return;
     if (!ok || !result) {
       say(this.said, ok ? `No command to an actuator of ${what.agent} is known yet.` : reason);
       return;
@@ -93,7 +100,7 @@ export class Why {
 function chain(steps, whole) {
   const list = h("ol.chain");
   steps.forEach((step, index) => {
-    const row = h("li", {}, h("div.what", {}, h("b", {}, step.type), h("span", {}, ` ${step.source} #${step.number}`)), h("div.body.dim", {}, step.body));
+    const row = h("li", {}, h("div.what", {}, h("b", {}, step.type), h("span", {}, ` ${step.source} #${step.number}`)), h("div.body.dim", {}, tidy(step.body)));
     row.style.setProperty("--tint", colour(step.source.split("/")[0]));
     if (index < steps.length - 1) {
       const bar = h("span.bars", { "aria-hidden": "true" });

@@ -1,19 +1,34 @@
 // Formats words, figures and colours for people.
 
+import { readable } from "./contrast.js";
+
 const HUES = [212, 22, 152, 282, 48, 332, 186, 98, 252, 0];
+const SATURATION = 72;
+/** What agents' colours are read on: a panel, tinted a little with the colour itself. */
+const LIGHT_PANEL = [0.95, 0.95, 0.95];
+const DARK_PANEL = [0.15, 0.16, 0.19];
 
 export const dark = window.matchMedia("(prefers-color-scheme: dark)");
 export const still = window.matchMedia("(prefers-reduced-motion: reduce)");
 
 const places = new Map();
 
+const lightness = new Map();
+
+/** Returns a colour of a row of colours that differ; it can be read in light and in dark mode. */
+export function hue(place, alpha = 1) {
+  const it = HUES[place % HUES.length];
+  const key = `${it} ${dark.matches}`;
+  if (!lightness.has(key)) {
+    lightness.set(key, dark.matches ? readable(it, SATURATION, 66, DARK_PANEL) : readable(it, SATURATION, 45, LIGHT_PANEL));
+  }
+  return `hsl(${it} ${SATURATION}% ${lightness.get(key)}% / ${alpha})`;
+}
+
 /** Gives each agent a colour of its own, which stays the same. */
 export function colour(name, alpha = 1) {
   if (!places.has(name)) places.set(name, places.size);
-  const place = places.get(name);
-  const hue = HUES[place % HUES.length];
-  const light = dark.matches ? 66 : 45;
-  return `hsl(${hue} 72% ${light}% / ${alpha})`;
+  return hue(places.get(name), alpha);
 }
 
 /** Mission time as minutes and seconds. */

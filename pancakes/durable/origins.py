@@ -1,0 +1,133 @@
+"""Asks the agents that must know which one has a task, before it is taken from another one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Final, Protocol
+
+import msgspec
+
+from pancakes.control import Refusal
+from pancakes.durable.messages import REGISTRAR, Fact, Known, WhoHas
+from pancakes.durable.record import Record, TaskId
+from pancakes.durable.store import Records
+from pancakes.errors import PancakesError
+from pancakes.packet import NETWORK, Packet, agent_of, join
+
+ANSWER_S: Final = 0.3
+"""Each agent has this long to say where a task is, in host time: its source waits a second for the room."""
+MOST_ASKED: Final = 8
+"""At most this many agents are asked, one after the other, each named by the one before."""
+MOST_OF_PEER: Final = 16
+"""At most this many packets of one peer wait for an answer; of more, the peer asks again."""
+
+Take = Callable[[Packet, Refusal | None], None]
+"""Takes a packet, and why it is refused; None: it is not."""
+
+
+class Asker(Protocol):
+    """The actor that asks. The answers come to it, and are handed to `Origins.told`."""
+
+    @property
+    def agent(self) -> str: ...
+
+    def publish(self, channel: str, body: Any, to: str = "") -> Any: ...
+
+    def log(self, level: str, text: str) -> None: ...
+
+    def after_host(self, delay_s: float, function: Callable[[], None]) -> Any: ...
+
+
+class _Waiting(msgspec.Struct):
+    """A packet that waits until other agents have said where the task is.
+
+    Attributes:
+        packet: the packet.
+        take: takes it then.
+        asked: the agents that were asked, the last one just now.
+    """
+
+    packet: Packet
+    take: Take
+    asked: list[str]
+
+
+class Origins:
+    """Asks the agents that must know which one has a task. All in one actor.
+
+    The birthplace of a task knows, or the agent that has given it away, to which one it gave it, and so does each after
+    that. If one of them has the task itself, no other gives it away, and no member has it taken over. An agent that is
+    not linked, or does not answer, is no reason to refuse: a task outlives its birthplace. A guarded task is taken over
+    also from an owner that is linked here, if its members do not let it act.
+
+    Args:
+        asker: the actor.
+        records: what is known of tasks here.
+        linked: returns the agents that are linked.
+    """
+
+    def __init__(self, asker: Asker, records: Records, linked: Callable[[], list[str]]) -> None:
+        self._asker = asker
+        self._records = records
+        self._linked = linked
+        self._waiting: dict[tuple[str, str, TaskId], _Waiting] = {}
+
+    def judge(self, packet: Packet, take: Take) -> None:
+        """Have a packet taken that says where a task is to come from, once it is known whether that may be."""
+        source, _, task_id = key = _key(packet)
+        first = self._first(source, task_id, self._records.get(task_id))
+        if not first:
+            take(packet, None)
+        elif key in self._waiting or sum(it[0] == source for it in self._waiting) < MOST_OF_PEER:
+            waiting = self._waiting[key] = _Waiting(packet, take, [])
+            self._ask(waiting, first)
+
+    def told(self, packet: Packet) -> None:
+        """An agent says which one has tasks."""
+        known: Known = packet.body
+        by = agent_of(packet.source)
+        facts = {fact.task_id: fact for fact in known.facts}
+        for (source, _, task_id), waiting in list(self._waiting.items()):
+            if task_id in known.task_ids and waiting.asked[-1] == by:
+                self._heard(waiting, source, by, facts.get(task_id))
+
+    def _first(self, source: str, task_id: TaskId, record: Record | None) -> str:
+        """Return the agent that must know where a task is; empty: none that can be asked."""
+        gave_to = record.gave if record is not None else ""
+        knows = gave_to or task_id.birthplace
+        return knows if knows != source and self._may_ask(knows) else ""
+
+    def _may_ask(self, agent: str) -> bool:
+        return agent != self._asker.agent and agent in self._linked()
+
+    def _heard(self, waiting: _Waiting, source: str, by: str, fact: Fact | None) -> None:
+        owner = fact.at(by) if fact is not None else ""
+        is_call = not hasattr(waiting.packet.body, "hold")
+        if fact is not None and owner == by and (fact.acts or not is_call):
+            text = f"{by} has {fact.task_id}, under the epoch {fact.epoch}: {source} has no right to it"
+            self._end(waiting, Refusal("forbidden", text))
+        elif owner not in ("", source, *waiting.asked) and len(waiting.asked) < MOST_ASKED and self._may_ask(owner):
+            self._ask(waiting, owner)
+        else:
+            self._end(waiting)
+
+    def _ask(self, waiting: _Waiting, agent: str) -> None:
+        waiting.asked.append(agent)
+        task_id, number = waiting.packet.body.task_id, len(waiting.asked)
+        try:
+            self._asker.publish(NETWORK, WhoHas((task_id,)), to=join(agent, REGISTRAR))
+        except PancakesError as error:
+            self._asker.log("debug", f"{agent} was not asked about {task_id}: {error}")
+            self._end(waiting)
+            return
+        self._asker.after_host(ANSWER_S, lambda: self._end(waiting) if len(waiting.asked) == number else None)
+
+    def _end(self, waiting: _Waiting, refusal: Refusal | None = None) -> None:
+        key = _key(waiting.packet)
+        if self._waiting.get(key) is waiting:
+            del self._waiting[key]
+            waiting.take(waiting.packet, refusal)
+
+
+def _key(packet: Packet) -> tuple[str, str, TaskId]:
+    return agent_of(packet.source), packet.type, packet.body.task_id
