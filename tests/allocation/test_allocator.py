@@ -324,6 +324,17 @@ def test_a_task_that_says_too_much_for_a_bid_is_named_once_and_the_others_are_al
     assert sum("a/Heavy is not allocated" in it for it in a.lines("warning")) == 1
 
 
+def test_an_agent_with_more_tasks_than_a_team_allocates_says_so_once(
+    fleet: Fleet, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("pancakes.durable.allocator.MOST_LOTS", 2)
+    agent = fleet.start("a", tasks=work(5), services=part())
+    fleet.run_for(3.0)
+    assert len(agent.ask(Allocate(dry_run=True)).result["lines"]) == 2
+    told = "3 tasks are not allocated, from a/W2 on: a team allocates at most 512 tasks"
+    assert agent.lines("warning") == [told]
+
+
 def test_a_solver_that_fails_holds_no_answer_up(fleet: Fleet, monkeypatch: pytest.MonkeyPatch) -> None:
     def fails(*_: Any) -> None:
         raise ImportError("libhighs.so: cannot open shared object file")
