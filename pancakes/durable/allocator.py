@@ -476,6 +476,8 @@ class Allocator(TaskCore, Task):
             self._known = self._news()
             self._moves_until_s = now_s + MOVING_S
             self._moves.clear()
+            mine = [it for it in report.lines if it.owner == self.agent and not it.winner]
+            self._state.unplaced = {it.task: it.reason for it in mine}
             for line in report.moves:
                 if line.owner == self.agent:
                     self._migrate(line.task, line.winner)

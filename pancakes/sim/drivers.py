@@ -72,8 +72,20 @@ class BusDevice:
 class SimulatedDevice:
     """Open and close the hardware bus for a driver; its settings name the world and the body."""
 
+    @dataclass
+    class Settings:
+        """Where the body is.
+
+        Attributes:
+            world: address of the world's hardware bus, such as `tcp://127.0.0.1:7499`.
+            body: the body's name in the world; empty means the agent's name.
+        """
+
+        world: str
+        body: str = ""
+
     context: DeviceContext
-    settings: Any
+    settings: Settings
     type: ClassVar[str]
     _bus: BusDevice | None = None
 
@@ -90,19 +102,6 @@ class SimulatedDevice:
 class SimulatedSensor(SimulatedDevice, Sensor):
     """Read a sensor of a body in a simulated world."""
 
-    @dataclass
-    class Settings:
-        """Where the body is.
-
-        Attributes:
-            world: address of the world's hardware bus, such as `tcp://127.0.0.1:7499`.
-            body: the body's name in the world; empty means the agent's name.
-        """
-
-        world: str
-        body: str = ""
-
-    settings: Settings
     reports_radio: ClassVar[bool] = False
 
     def open(self) -> None:
@@ -168,20 +167,6 @@ class SimulatedActuator(SimulatedDevice, Actuator):
     """Command an actuator of a body in a simulated world, of the subclass's `type`; the world counts each command's
     time to live. Two wheels have a driver of their own, `DifferentialDrive`.
     """
-
-    @dataclass
-    class Settings:
-        """Where the body is.
-
-        Attributes:
-            world: address of the world's hardware bus, such as `tcp://127.0.0.1:7499`.
-            body: the body's name in the world; empty means the agent's name.
-        """
-
-        world: str
-        body: str = ""
-
-    settings: Any
 
     def open(self) -> None:
         self._attach()

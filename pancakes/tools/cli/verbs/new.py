@@ -32,6 +32,11 @@ _ABOUT: Final = {
         "Create a service.",
         "pancakes new service bookkeeping",
     ),
+    "filter": (
+        "Create a filter of an actuator: a drive is slow while the robot's computer is busy.",
+        "Create a filter of an actuator.",
+        "pancakes new filter careful-drive",
+    ),
     "cost": (
         "Create a cost function: the agent with the least busy computer takes the task.",
         "Create a cost function for migrations.",
@@ -64,7 +69,7 @@ class DistributionName(click.ParamType):
 
 @click.group()
 def new() -> None:
-    """Create a package for your own task, driver, service, cost function or plug-in.
+    """Create a package for your own task, driver, service, filter, cost function or plug-in.
 
     Each command writes a working distribution: with entry points, tests that pass, a configuration that runs it, and a
     README. Start from there.
