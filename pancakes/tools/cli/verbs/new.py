@@ -42,6 +42,11 @@ _ABOUT: Final = {
         "Create a cost function for migrations.",
         "pancakes new cost calm",
     ),
+    "world": (
+        "Create a simulated world: robots on a rail, where the calls of your own simulator belong.",
+        "Create a simulated world.",
+        "pancakes new world flat-land",
+    ),
     "plugin": (
         "Create a plug-in: a driver, a task, a service and packet types that work together, and two agents.",
         "Create a plug-in with a task, a driver, a service and packets.",
@@ -69,7 +74,7 @@ class DistributionName(click.ParamType):
 
 @click.group()
 def new() -> None:
-    """Create a package for your own task, driver, service, filter, cost function or plug-in.
+    """Create a package for your own task, driver, service, filter, cost function, world or plug-in.
 
     Each command writes a working distribution: with entry points, tests that pass, a configuration that runs it, and a
     README. Start from there.
