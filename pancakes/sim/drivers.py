@@ -13,7 +13,7 @@ from functools import partial
 from typing import Any, ClassVar
 
 from pancakes.devices import DockState, Twist
-from pancakes.devices.driver import Actuator, DeviceContext, Sensor
+from pancakes.devices.driver import Actuator, DeviceContext, Driver, Sensor
 from pancakes.errors import PancakesError
 from pancakes.packet import NEIGHBOURS, SYSTEM
 from pancakes.settings import Positive
@@ -69,7 +69,7 @@ class BusDevice:
         self._refusal = ""
 
 
-class SimulatedDevice:
+class SimulatedDevice(Driver):
     """Open and close the hardware bus for a driver; its settings name the world and the body."""
 
     @dataclass
