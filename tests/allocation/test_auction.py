@@ -228,10 +228,15 @@ def test_an_older_row_changes_nothing() -> None:
     assert auction.winners() == {"a/T": ("b", 10.0)}
 
 
-def test_a_cost_that_is_no_number_is_a_refusal() -> None:
+@pytest.mark.parametrize("cost", [math.nan, math.inf])
+def test_a_cost_that_is_no_number_is_a_refusal(cost: float) -> None:
+    """An infinite one says that the agent cannot reach the task."""
     auction = Round("a", RoundId(1, "a"), False, 1, 0.0, {"a/T": Lot(10.0)}, 0.0)
-    auction.price({"a/T": math.nan}, {}, 0.0)
-    assert auction.row.costs == {} and auction.row.refusals == {"a/T": "its cost is nan"} and auction.unpriced() == []
+    auction.price({"a/T": cost}, {}, 0.0)
+    assert auction.row.costs == {} and auction.unpriced() == []
+    assert auction.row.refusals == {"a/T": f"its cost is {cost:g}"}
+    (line,) = auction.report([], 0.0).lines
+    assert (line.winner, line.reason) == ("", "no agent can take it")
 
 
 def test_what_an_agent_claimed_that_has_gone_is_free() -> None:
