@@ -168,7 +168,8 @@ class Round:
             self._answers.add(peer)
         known = self._rows.get(peer)
         heard = row.heard.get(self.me, 0)  # which rows it has of others is not kept
-        self._beyond[peer] = frozenset(row.heard.keys() - self._rows.keys()) if not fault_of_row(row) else frozenset()
+        if len(row.heard) <= MOST_AGENTS:
+            self._beyond[peer] = frozenset(row.heard.keys() - self._rows.keys())
         if known is not None and row.seq <= known.seq:
             if row.seq == known.seq:  # said again: it may have heard more
                 self._rows[peer] = replace(known, heard={self.me: max(heard, known.heard.get(self.me, 0))})
