@@ -54,7 +54,8 @@ class CostFacts(msgspec.Struct, frozen=True):
     Attributes:
         load: how busy the agent is that is asked.
         readings: the newest reading of each device type that the function `reads`, as far as this agent has one.
-        settings: the settings of the task, as plain values.
+        settings: the settings that the task was given, as plain values. One that has its default may be missing:
+            `settings.get(name, default)`.
         state: of the task's state the fields that its class `offers`, as plain values; as of its last checkpoint.
     """
 

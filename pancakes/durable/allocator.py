@@ -22,6 +22,7 @@ from pancakes.durable.host_state import HostState, Imported
 from pancakes.durable.market import (
     MOST_LOTS,
     MOST_NUMBER,
+    TOO_MANY,
     AllocationReport,
     Lot,
     Market,
@@ -307,7 +308,10 @@ class Allocator(TaskCore, Task):
     def _lots(self) -> dict[str, Lot]:
         now_s, mission_s = self.kernel.host.now(), self.now()
         lots, why = {}, {}
-        for key, entry in sorted(self._entries().items())[:MOST_LOTS]:
+        entries = sorted(self._entries().items())
+        if len(entries) > MOST_LOTS:
+            why[""] = f"{len(entries) - MOST_LOTS} tasks are not allocated, from {entries[MOST_LOTS][0]} on: {TOO_MANY}"
+        for key, entry in entries[:MOST_LOTS]:
             task_id, rule = TaskId.parse(key), entry.rule
             record = self._records.get(task_id)
             if record is None or not record.owned or record.under_way:
@@ -317,7 +321,7 @@ class Allocator(TaskCore, Task):
                 try:
                     offer = Snapshot.decode(record.snapshot).offer()
                 except MigrationError as error:
-                    why[key] = str(error)
+                    why[key] = f"{key} is not allocated: {error}"
                     continue
             until = {peer: it for peer, it in self._barred.get(key, {}).items() if it > now_s}
             self._barred[key] = until
@@ -333,9 +337,9 @@ class Allocator(TaskCore, Task):
                 Solicit(task_id, 0, entry.type, entry.version, entry.service, entry.requires, rule.cost, None, offer),
             )
         self._barred = {key: self._barred[key] for key in lots if self._barred.get(key)}
-        for key, reason in why.items():
+        for key, sentence in why.items():
             if key not in self._left_out:  # each second they are looked at
-                self.log("warning", f"{key} is not allocated: {reason}")
+                self.log("warning", sentence)
         self._left_out = set(why)
         return lots
 
@@ -472,6 +476,8 @@ class Allocator(TaskCore, Task):
             self._known = self._news()
             self._moves_until_s = now_s + MOVING_S
             self._moves.clear()
+            mine = [it for it in report.lines if it.owner == self.agent and not it.winner]
+            self._state.unplaced = {it.task: it.reason for it in mine}
             for line in report.moves:
                 if line.owner == self.agent:
                     self._migrate(line.task, line.winner)

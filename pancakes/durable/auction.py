@@ -20,7 +20,9 @@ from typing import Final
 import msgspec
 from msgspec.structs import replace
 
+from pancakes.durable.completion import allowed, calmed, completed
 from pancakes.durable.market import (
+    LEAST_GAIN,
     MOST_LETTERS,
     AllocationReport,
     Lot,
@@ -38,8 +40,6 @@ MOST_AGENTS: Final = 256
 """Rows of at most this many other agents count."""
 MOST_DROPPED: Final = 3
 """An agent that had to give a lot back this often, as others did not do their part of it, leaves it in this round."""
-LEAST_GAIN: Final = 1e-9
-"""A bid that is not higher than this gains nothing."""
 
 
 class RoundTimes(msgspec.Struct, frozen=True):
@@ -111,6 +111,7 @@ class Round:
         self._ignored: dict[str, str] = {}
         self._dropped: dict[str, int] = {}
         self._answers: set[str] = set()  # the agents that want an answer
+        self._beyond: dict[str, frozenset[str]] = {}  # the agents that a peer hears of, and this one does not
         self._said_s: dict[str, float] = {}
         row = Row(id.number, id.starter, dry_run, 1, at_most, crowding, dict(lots))
         self._rows = {me: row}
@@ -166,7 +167,9 @@ class Round:
         if row.asks:
             self._answers.add(peer)
         known = self._rows.get(peer)
-        heard = row.heard.get(self.me, 0)  # what it has of others is not kept
+        heard = row.heard.get(self.me, 0)  # which rows it has of others is not kept
+        if len(row.heard) <= MOST_AGENTS:
+            self._beyond[peer] = frozenset(row.heard.keys() - self._rows.keys())
         if known is not None and row.seq <= known.seq:
             if row.seq == known.seq:  # said again: it may have heard more
                 self._rows[peer] = replace(known, heard={self.me: max(heard, known.heard.get(self.me, 0))})
@@ -219,6 +222,10 @@ class Round:
     def _has_mine(self, peer: str) -> bool:
         return self._rows[peer].heard.get(self.me, 0) >= self.row.seq
 
+    def _is_part(self) -> bool:
+        """Return whether a peer hears of agents that this one does not hear of, as it is not linked to them."""
+        return any(names - self._rows.keys() for peer, names in self._beyond.items() if peer in self._rows)
+
     def _others(self) -> list[str]:
         return [peer for peer in self._rows if peer != self.me]
 
@@ -244,7 +251,11 @@ class Round:
 
     def _begin_again(self, now_s: float) -> None:
         """Lots or costs are new: what was chosen without them may not be the best."""
-        self._rows[self.me] = replace(self.row, bundle=())
+        own, lots = self.row, market_of(self._rows).lots
+        # There may be more tasks by now than a team allocates, and other ones are left out.
+        costs = {key: cost for key, cost in own.costs.items() if key in lots}
+        refusals = {key: why for key, why in own.refusals.items() if key in lots}
+        self._rows[self.me] = replace(own, bundle=(), costs=costs, refusals=refusals)
         self._market = market_of(self._rows)
         self._bid(now_s, changed=True)
 
@@ -306,7 +317,7 @@ class Round:
     def _fits(self, key: str, bundle: tuple[str, ...], best: Mapping[str, tuple[str, float]]) -> bool:
         """Return whether a lot can be added to a bundle: no mate is in it, and all are over in time."""
         market = self._market
-        if self._dropped.get(key, 0) >= MOST_DROPPED or any(mate in bundle for mate in market.mates(key)):
+        if self._dropped.get(key, 0) >= MOST_DROPPED or any(mate in bundle for mate in market.mates[key]):
             return False
         if not market.timed:
             return True
@@ -327,7 +338,7 @@ class Round:
         return key in self.row.given_up or self._lacks_mate(key, self.winners())
 
     def _lacks_mate(self, key: str, winners: Mapping[str, object]) -> bool:
-        return any(mate not in winners for mate in self._market.mates(key))
+        return any(mate not in winners for mate in self._market.mates[key])
 
     def _alone(self) -> list[str]:
         """Return what the agent claims although a mate of it has no agent."""
@@ -337,43 +348,18 @@ class Round:
     # The account --------------------------------------------------------------------------------------------------
 
     def bundles(self) -> dict[str, list[str]]:
-        """Return the allocation: what each agent has won, less the migrations that gain the team nothing.
-
-        A lot of which a mate has no agent is allocated to nobody.
-        """
-        winners = self.winners()
-        while alone := [key for key in winners if self._lacks_mate(key, winners)]:
-            for key in alone:
-                del winners[key]
-        market = self._market
-        won: dict[str, list[str]] = {
-            agent: [key for key in row.bundle if winners.get(key, ("",))[0] == agent]
-            for agent, row in self._rows.items()
-        }
-        ends = timetable(market, won)
-        won = {
-            agent: [key for key in keys if in_time(market.lots[key].lot, ends.get(key))] for agent, keys in won.items()
-        }
-        return self._calmed(won)
-
-    def _calmed(self, won: dict[str, list[str]]) -> dict[str, list[str]]:
-        """Return an allocation with fewer migrations and at least the same value.
-
-        An auction finds a good allocation, not the best one. If costs differ a little from round to round, it may find
-        another one that is as good, and tasks would migrate to and fro.
-        """
-        market, present = self._market, self._present()
-        if market.value(present) >= market.value(won) and not market.faults(present):
-            return present
-        for key, offered in market.lots.items():
-            agent = next((it for it, keys in won.items() if key in keys), offered.owner)
-            if agent == offered.owner:
-                continue
-            back = {it: [other for other in keys if other != key] for it, keys in won.items()}
-            back[offered.owner] = [*back[offered.owner], key]
-            if market.value(back) >= market.value(won) and not market.faults(back):
-                won = back
-        return won
+        """Return the allocation: what each agent has won, what an auction misses, less what gains the team nothing."""
+        winners, market = self.winners(), self._market
+        won = allowed(
+            market,
+            {
+                agent: [key for key in row.bundle if winners.get(key, ("",))[0] == agent]
+                for agent, row in self._rows.items()
+            },
+        )
+        if self.agreed and not self._is_part():  # else others know other rows, and would come to something else
+            won = completed(market, won)
+        return calmed(market, won, self._present())
 
     def _present(self) -> dict[str, list[str]]:
         """Return the allocation in which each task stays where it is, if its agent can tell what it costs there."""
@@ -434,7 +420,7 @@ class Round:
             return "no agent can take it"
         if max(bids.values()) <= LEAST_GAIN:
             return "it costs each agent more than it is worth"
-        lacking = [mate for mate in self._market.mates(key) if mate not in claims]
+        lacking = [mate for mate in self._market.mates[key] if mate not in claims]
         if lacking:
             return f"{lacking[0]} finds no agent at the same time"
         lot = self._market.lots[key].lot

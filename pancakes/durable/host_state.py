@@ -278,6 +278,7 @@ class HostState:
         negotiated: the tasks for which the Task Migrator compares bids.
         shortest_lease: the task with the shortest lease that this agent guards, as the guardian says; None: it guards
             none.
+        unplaced: the tasks here for which the allocation has found no robot, and why, as the Allocator says.
     """
 
     def __init__(
@@ -298,6 +299,7 @@ class HostState:
         self.readings = OwnReadings(kernel.agent)
         self.measured: MeasuredLoad | None = None
         self.negotiated: tuple[TaskId, ...] = ()
+        self.unplaced: dict[str, str] = {}
         self.shortest_lease: Record | None = None
 
     @property
@@ -482,4 +484,10 @@ class HostState:
         disk = {"syncs": syncs, "written_bytes": written_bytes}
         told = self.energy_reserve
         reserve = msgspec.to_builtins(told) if told is not None else None
-        return {"load": load, "battery_level": self.battery_level, "reserve": reserve, "disk": disk}
+        return {
+            "load": load,
+            "battery_level": self.battery_level,
+            "reserve": reserve,
+            "disk": disk,
+            "unplaced": self.unplaced,
+        }

@@ -21,7 +21,9 @@ from pancakes.migration import MOST_UNITS, fault_of
 from pancakes.packet import packet_type
 
 MOST_LOTS: Final = 512
-"""Most lots of an agent, and most costs in a row."""
+"""Most lots of a team, and so most costs in a row."""
+TOO_MANY: Final = f"a team allocates at most {MOST_LOTS} tasks"
+"""Why a lot is left out: the first ones by their names count."""
 MOST_TAKEN: Final = 256
 """Most tasks that an agent may take."""
 MOST_NUMBER: Final = 2**40
@@ -30,6 +32,8 @@ DEARER: Final = 2.0
 """Each migration of a task multiplies the price of the next one, until it has stayed for a while."""
 MOST_LETTERS: Final = 200
 """Most letters of a reason."""
+LEAST_GAIN: Final = 1e-9
+"""A bid that is not higher than this gains nothing."""
 _Key = Annotated[str, msgspec.Meta(max_length=512)]
 
 
@@ -174,29 +178,21 @@ class Market(msgspec.Struct, frozen=True):
         lots: the lots, by task.
         rows: the rows that count, by agent.
         left_out: why a lot is not allocated, by task.
+        mates: the lots that must be allocated together with a lot, to other agents; in both directions.
+        before: the lots that must be over before a lot begins.
+        timed: whether it matters when a task is worked at.
     """
 
     lots: dict[str, Offered]
     rows: dict[str, Row]
     left_out: dict[str, str]
+    mates: dict[str, tuple[str, ...]]
+    before: dict[str, tuple[str, ...]]
+    timed: bool
 
-    def named(self, names: Iterable[str]) -> list[str]:
-        """Return the lots with these names."""
-        wanted = frozenset(names)
-        return [key for key in self.lots if name_of(key) in wanted] if wanted else []
-
-    def mates(self, key: str) -> list[str]:
-        """Return the lots that must be allocated together with one, to other agents; in both directions."""
-        own = frozenset(self.lots[key].lot.together)
-        name = name_of(key)
-        return [
-            it for it, other in self.lots.items() if it != key and (name_of(it) in own or name in other.lot.together)
-        ]
-
-    @property
-    def timed(self) -> bool:
-        """Whether it matters when a task is worked at."""
-        return any(it.lot.takes_s or it.lot.after or it.lot.ends_by_s is not None for it in self.lots.values())
+    def is_coupled(self, key: str) -> bool:
+        """Return whether more than costs and places decides who can have a lot."""
+        return bool(self.mates[key] or self.before[key] or self.lots[key].lot.ends_by_s is not None)
 
     def cost(self, agent: str, key: str) -> float | None:
         """Return what a lot costs on an agent; None: it does not get it there."""
@@ -223,11 +219,9 @@ class Market(msgspec.Struct, frozen=True):
         if len(agents) < len(taken):
             found.append("a task is allocated twice")
         for key, agent in taken:
-            for mate in self.mates(key):
+            for mate in self.mates[key]:
                 if agents.get(mate, agent) == agent:
                     found.append(f"{key} needs {mate} on another agent")
-            if set(self.lots[key].lot.together) - {name_of(it) for it in self.lots}:
-                found.append(f"{key} needs a task that nobody puts up")
         ends = timetable(self, bundles)
         return found + [
             f"{key} is not over in time" for key, _ in taken if not in_time(self.lots[key].lot, ends.get(key))
@@ -243,24 +237,51 @@ def market_of(rows: Mapping[str, Row]) -> Market:
             if key in lots:
                 left_out[key] = f"both {lots[key].owner} and {agent} say that they have it"
             lots.setdefault(key, Offered(lot, agent))
-    found = Market(dict(sorted(lots.items())), dict(rows), left_out)
-    left_out.update(dict.fromkeys(_waiting_for_themselves(found), "it waits for itself"))
+    left_out.update(dict.fromkeys(sorted(lots.keys() - left_out.keys())[MOST_LOTS:], TOO_MANY))
+    lots = dict(sorted(lots.items()))
+    left_out.update(dict.fromkeys(_waiting_for_themselves(lots), "it waits for itself"))
     while True:
         for key in left_out:
-            found.lots.pop(key, None)
-        names, gone = {name_of(it) for it in found.lots}, {name_of(it) for it in left_out}
-        for key, offered in found.lots.items():
+            lots.pop(key, None)
+        names, gone = {name_of(it) for it in lots}, {name_of(it) for it in left_out}
+        for key, offered in lots.items():
             if missing := set(offered.lot.together) - names:
                 left_out[key] = f"it needs {min(missing)} at the same time, which nobody puts up"
             elif late := gone.intersection(offered.lot.after) - names:
                 left_out[key] = f"it comes after {min(late)}, which is left out"
-        if not found.lots.keys() & left_out.keys():
-            return found
+        if not lots.keys() & left_out.keys():
+            break
+    timed = any(it.lot.takes_s or it.lot.after or it.lot.ends_by_s is not None for it in lots.values())
+    return Market(lots, dict(rows), left_out, _mates(lots), _before(lots), timed)
 
 
-def _waiting_for_themselves(market: Market) -> list[str]:
+def _by_name(lots: Iterable[str]) -> dict[str, list[str]]:
+    """Return the lots of each name: tasks that were born on different agents may have the same."""
+    found: dict[str, list[str]] = {}
+    for key in lots:
+        found.setdefault(name_of(key), []).append(key)
+    return found
+
+
+def _mates(lots: Mapping[str, Offered]) -> dict[str, tuple[str, ...]]:
+    named = _by_name(lots)
+    found: dict[str, set[str]] = {key: set() for key in lots}
+    for key, offered in lots.items():
+        for mate in (it for name in offered.lot.together for it in named.get(name, ())):
+            if mate != key:
+                found[key].add(mate)
+                found[mate].add(key)
+    return {key: tuple(sorted(mates)) for key, mates in found.items()}
+
+
+def _before(lots: Mapping[str, Offered]) -> dict[str, tuple[str, ...]]:
+    named = _by_name(lots)
+    return {key: tuple(it for name in offered.lot.after for it in named.get(name, ())) for key, offered in lots.items()}
+
+
+def _waiting_for_themselves(lots: Mapping[str, Offered]) -> list[str]:
     """Return the lots that cannot come in any order: each of them waits for another one."""
-    waits = {key: set(market.named(it.lot.after)) for key, it in market.lots.items()}
+    waits = {key: set(before) for key, before in _before(lots).items()}
     while free := [key for key, for_ in waits.items() if not for_]:
         for key in free:
             del waits[key]
@@ -282,10 +303,10 @@ def timetable(market: Market, bundles: Mapping[str, Collection[str]]) -> dict[st
     """
     lots = market.lots
     agents = {key: agent for agent, keys in bundles.items() for key in keys if key in lots}
-    before = {key: market.named(lots[key].lot.after) for key in agents}
-    ends: dict[str, float] = {}
+    before = market.before
+    ends = {key: 0.0 for key in agents if not (lots[key].lot.takes_s or before[key])}
     free_s = dict.fromkeys(bundles, 0.0)
-    waiting = sorted(agents, key=lambda it: (_due_s(lots[it].lot), it))
+    waiting = sorted(agents.keys() - ends.keys(), key=lambda it: (_due_s(lots[it].lot), it))
     while waiting:
         best: tuple[float, float, str] | None = None
         for key in waiting:

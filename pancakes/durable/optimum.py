@@ -95,7 +95,7 @@ def _sum(terms: list[Any]) -> Any:
 
 
 def _pairs(market: Market) -> list[tuple[str, str]]:
-    return [(key, mate) for key in market.lots for mate in market.mates(key) if key < mate]
+    return [(key, mate) for key in market.lots for mate in market.mates[key] if key < mate]
 
 
 def _add_times(solver: Any, market: Market, taken: dict[Any, Any], served: dict[str, Any]) -> None:
@@ -109,7 +109,7 @@ def _add_times(solver: Any, market: Market, taken: dict[Any, Any], served: dict[
         if lot.ends_by_s is not None:
             slack_s = horizon_s + lot.takes_s + abs(lot.ends_by_s)
             solver.addConstr(begins[key] + lot.takes_s + slack_s * served[key] <= lot.ends_by_s + slack_s)
-        for before in market.named(lot.after):
+        for before in market.before[key]:
             solver.addConstr(served[key] - served[before] <= 0)
             reach_s = horizon_s + lots[before].lot.takes_s
             solver.addConstr(begins[before] - begins[key] + reach_s * served[key] <= reach_s - lots[before].lot.takes_s)

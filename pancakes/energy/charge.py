@@ -15,6 +15,8 @@ UNKNOWN_S: Final = 0.0
 """A robot that has no reserve bids this: it may be in need."""
 PATIENCE_S: Final = 5.0
 """It waits so long for the first reading of its reserve."""
+POSE_OLD_S: Final = 2.0
+"""With an older pose the robot stands: it would drive on without knowing where it is."""
 END_AGAIN_S: Final = 10.0
 """If it runs that long after it has asked for its end, it asks again: it was being migrated, for example."""
 LATER: Final = ("pending", "busy")
@@ -36,6 +38,7 @@ class Charge(Task):
     def on_start(self) -> None:
         self._docking = Docking(self.agent, self.settings)
         self._pose: Pose | None = None
+        self._placed_s = 0.0
         self._level: float | None = None
         self._reserve: Reserve | None = None
         self._tried: int | None = None  # how many followers could not start, once it ends
@@ -50,7 +53,7 @@ class Charge(Task):
     def moved(self, packet: Packet) -> None:
         """Take the robot's pose."""
         if agent_of(packet.source) == self.agent:
-            self._pose = packet.body
+            self._pose, self._placed_s = packet.body, self.now()
 
     @on(SYSTEM, Battery, queue="latest")
     def measured(self, packet: Packet) -> None:
@@ -101,9 +104,10 @@ class Charge(Task):
             return
         if step.dock:
             self.publish(CTRL, Dock(step.dock))
-        it = self.settings
-        goal = step.goal
-        self.publish(CTRL, drive_to(pose, goal, it.speed_mps, it.turn_radps) if goal is not None else Twist(0.0, 0.0))
+        it, goal = self.settings, step.goal
+        knows = self.now() - self._placed_s <= POSE_OLD_S
+        stand = Twist(0.0, 0.0)
+        self.publish(CTRL, drive_to(pose, goal, it.speed_mps, it.turn_radps) if goal is not None and knows else stand)
 
     def _is_ready(self) -> bool:
         """Return whether it knows its reserve, or need not wait for it any longer."""

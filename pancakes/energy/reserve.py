@@ -26,6 +26,8 @@ JUMP_MPS: Final = 5.0
 """A pose that moves faster has jumped: that is no way that was driven."""
 TRUSTED_M: Final = 2.0
 """After this many metres, the consumption by distance is the measured one."""
+POSE_OLD_S: Final = 10.0
+"""A pose that is older says nothing of the way to a dock."""
 SILENT_S: Final = 60.0
 """A dock that was not heard for so long counts only if no other was."""
 MOST_DOCKS: Final = 64
@@ -204,6 +206,7 @@ class ReserveMeter(Task):
         self._watch = ChargeWatch(it.rise_s, it.least_rise, it.again_s)
         self._heard: dict[str, tuple[float, DockState]] = {}
         self._place: tuple[float, float] | None = None
+        self._placed_s = 0.0
         self._trouble = ""
         self._asks_from_s = 0.0
         self._missing_told = False
@@ -215,7 +218,7 @@ class ReserveMeter(Task):
     def moved(self, packet: Packet) -> None:
         """Take the robot's pose."""
         if agent_of(packet.source) == self.agent:
-            self._place = (packet.body.x_m, packet.body.y_m)
+            self._place, self._placed_s = (packet.body.x_m, packet.body.y_m), self.now()
 
     @on(SYSTEM, DockState)
     def dock_told(self, packet: Packet) -> None:
@@ -276,9 +279,11 @@ class ReserveMeter(Task):
         dock, straight_m = nearest(place, heard or known)
         way_m, per_m = self.settings.detour * straight_m, self._consumption.per_m
         trouble = self._watch.trouble
+        # What cannot get to a dock must not take a task either.
         if not dock:
-            # What cannot get to a dock must not take a task either.
             trouble, left, seconds = "knows no dock: none has been heard of", 0.0, 0.0
+        elif abs(now_s - self._placed_s) > POSE_OLD_S:  # a clock that was set back
+            trouble, left, seconds = "its pose is too old to know the way to a dock", 0.0, 0.0
         else:
             left = battery.level - self.settings.margin - way_m * per_m
             seconds = left / per_s if per_s > 0.0 else math.copysign(DAY_S, left)

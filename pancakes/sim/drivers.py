@@ -13,7 +13,7 @@ from functools import partial
 from typing import Any, ClassVar
 
 from pancakes.devices import DockState, Twist
-from pancakes.devices.driver import Actuator, DeviceContext, Sensor
+from pancakes.devices.driver import Actuator, DeviceContext, Driver, Sensor
 from pancakes.errors import PancakesError
 from pancakes.packet import NEIGHBOURS, SYSTEM
 from pancakes.settings import Positive
@@ -69,11 +69,23 @@ class BusDevice:
         self._refusal = ""
 
 
-class SimulatedDevice:
+class SimulatedDevice(Driver):
     """Open and close the hardware bus for a driver; its settings name the world and the body."""
 
+    @dataclass
+    class Settings:
+        """Where the body is.
+
+        Attributes:
+            world: address of the world's hardware bus, such as `tcp://127.0.0.1:7499`.
+            body: the body's name in the world; empty means the agent's name.
+        """
+
+        world: str
+        body: str = ""
+
     context: DeviceContext
-    settings: Any
+    settings: Settings
     type: ClassVar[str]
     _bus: BusDevice | None = None
 
@@ -90,19 +102,6 @@ class SimulatedDevice:
 class SimulatedSensor(SimulatedDevice, Sensor):
     """Read a sensor of a body in a simulated world."""
 
-    @dataclass
-    class Settings:
-        """Where the body is.
-
-        Attributes:
-            world: address of the world's hardware bus, such as `tcp://127.0.0.1:7499`.
-            body: the body's name in the world; empty means the agent's name.
-        """
-
-        world: str
-        body: str = ""
-
-    settings: Settings
     reports_radio: ClassVar[bool] = False
 
     def open(self) -> None:
@@ -168,20 +167,6 @@ class SimulatedActuator(SimulatedDevice, Actuator):
     """Command an actuator of a body in a simulated world, of the subclass's `type`; the world counts each command's
     time to live. Two wheels have a driver of their own, `DifferentialDrive`.
     """
-
-    @dataclass
-    class Settings:
-        """Where the body is.
-
-        Attributes:
-            world: address of the world's hardware bus, such as `tcp://127.0.0.1:7499`.
-            body: the body's name in the world; empty means the agent's name.
-        """
-
-        world: str
-        body: str = ""
-
-    settings: Any
 
     def open(self) -> None:
         self._attach()

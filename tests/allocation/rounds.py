@@ -36,6 +36,7 @@ class Team:
         self.now_s = 0.0
         self.loss = loss
         self.dead: set[str] = set()
+        self.apart: set[frozenset[str]] = set()  # the pairs that are not linked
         self.packets = 0
         self.rounds: dict[str, Round] = {}
         self.over: dict[str, float] = {}
@@ -90,7 +91,7 @@ class Team:
     def say(self, source: str, to: str, row: Row) -> None:
         """Sends a row; it may be lost, doubled or late."""
         self.packets += 1
-        if self._draw.random() >= self.loss:
+        if self._draw.random() >= self.loss and frozenset((source, to)) not in self.apart:
             for _ in range(2 if self._draw.random() < 0.05 else 1):
                 self._flying.append((self.now_s + self._draw.uniform(0.002, 0.08), self.packets, source, to, row))
 

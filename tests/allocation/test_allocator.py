@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from pancakes.client.rows import sentence_of
-from pancakes.control import Allocate, Migrations, Stop
+from pancakes.control import Allocate, Describe, Migrations, Stop
 from pancakes.devices import Battery, Reserve
 from pancakes.durable.allocator import MOST_ASKED
 from pancakes.durable.bidding import Appraise, Appraiser
@@ -20,6 +20,8 @@ from pancakes.kernel.mailbox import tell
 from pancakes.migration import Cost, CostFacts
 from pancakes.task import Task
 from pancakes.testing import AgentHandle, Fleet
+from pancakes.tools.cli.verbs.agent_checks import check_allocation
+from pancakes.tools.cli.verbs.checks import Facts
 
 RULE = {"when": "allocation", "move_price": 0.5}
 
@@ -148,6 +150,7 @@ def test_an_agent_that_cannot_do_a_task_does_not_get_it(fleet: Fleet) -> None:
     (line,) = a.ask(Allocate(dry_run=True)).result["lines"]
     assert line["winner"] == "" and "lacks the device type battery" in line["refusals"]["b"]
     fleet.run_for(10.0)
+    assert len(unplaced(a)) == 1, "nor is there a place on a"
     assert place(fleet, "W0") == ["a"]
 
 
@@ -156,8 +159,19 @@ def test_more_tasks_than_places_stay_where_they_are(fleet: Fleet) -> None:
     fleet.start("b", services=part(1))
     fleet.connect()
     assert fleet.run_until(lambda: spread(fleet) == {"a": 3, "b": 1}, 20.0)
+    reason = "no agent that can take it has a place left"
     lines = a.ask(Allocate(dry_run=True)).result["lines"]
-    assert sorted(line["reason"] for line in lines)[-2:] == ["no agent that can take it has a place left"] * 2
+    assert sorted(line["reason"] for line in lines)[-2:] == [reason] * 2
+    assert fleet.run_until(lambda: len(unplaced(a)) == 2, 20.0)
+    assert all(text.endswith(f", and the allocation finds no robot for it: {reason}") for text in unplaced(a))
+    fleet.start("c", services=part(2))
+    fleet.connect()
+    assert fleet.run_until(lambda: unplaced(a) == [], 20.0)
+
+
+def unplaced(agent: AgentHandle) -> list[str]:
+    """Return what doctor says of the agent's tasks that are not allocated."""
+    return [found.text for found in check_allocation(agent.ask(Describe()).result, Facts())]
 
 
 def test_an_agent_that_tells_nonsense_is_left_out_and_named(fleet: Fleet) -> None:
@@ -322,6 +336,17 @@ def test_a_task_that_says_too_much_for_a_bid_is_named_once_and_the_others_are_al
     fleet.run_for(10.0)
     assert [line["task"] for line in a.ask(Allocate(dry_run=True)).result["lines"]] == ["a/W0"]
     assert sum("a/Heavy is not allocated" in it for it in a.lines("warning")) == 1
+
+
+def test_an_agent_with_more_tasks_than_a_team_allocates_says_so_once(
+    fleet: Fleet, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("pancakes.durable.allocator.MOST_LOTS", 2)
+    agent = fleet.start("a", tasks=work(5), services=part())
+    fleet.run_for(3.0)
+    assert len(agent.ask(Allocate(dry_run=True)).result["lines"]) == 2
+    told = "3 tasks are not allocated, from a/W2 on: a team allocates at most 512 tasks"
+    assert agent.lines("warning") == [told]
 
 
 def test_a_solver_that_fails_holds_no_answer_up(fleet: Fleet, monkeypatch: pytest.MonkeyPatch) -> None:

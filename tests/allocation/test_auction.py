@@ -9,7 +9,8 @@ from allocation.rounds import Robot, Team, drawn
 from msgspec.structs import replace
 
 from pancakes.durable.auction import Round, RoundId
-from pancakes.durable.market import Lot, Row
+from pancakes.durable.completion import allowed
+from pancakes.durable.market import Lot, Row, market_of
 
 
 def held(robots: dict[str, Robot], *, loss: float = 0.2, seed: int = 1, starter: str = "") -> Team:
@@ -35,9 +36,10 @@ def test_all_agents_come_to_the_same_allowed_allocation_although_packets_are_los
     assert len(found.lots) == 12 and found.faults(team.allocation()) == []
 
 
-@pytest.mark.parametrize("seed", range(8))
-def test_coupled_tasks_are_never_allocated_so_that_a_coupling_is_broken(seed: int) -> None:
-    team = held(drawn(seed, 3, 8, coupled=True), seed=seed)
+@pytest.mark.parametrize(("robots", "tasks", "seed"), [*((3, 8, seed) for seed in range(8)), (4, 12, 14)])
+def test_coupled_tasks_are_never_allocated_so_that_a_coupling_is_broken(robots: int, tasks: int, seed: int) -> None:
+    team = held(drawn(seed, robots, tasks, coupled=True), seed=seed)
+    assert len({str(lines(team, name)) for name in team.robots}) == 1
     assert next(iter(team.rounds.values())).market.faults(team.allocation()) == []
 
 
@@ -92,6 +94,75 @@ def test_tasks_that_belong_together_go_to_different_agents_or_to_none() -> None:
     more = {**pair, "a/V": Lot(5.0)}
     freed = held({"a": Robot(1, 0.0, more, {**one, "a/V": 1.0}), "b": Robot(1)})
     assert lines(freed)["a/V"] == ("a", "") and lines(freed)["a/T"][0] == ""
+
+
+def test_a_task_makes_room_for_a_pair_that_is_worth_more() -> None:
+    """Each auction fills a's only place with V first, so T would find no agent."""
+    lots = {"a/T": Lot(9.0, together=("U",)), "a/U": Lot(9.0), "a/V": Lot(9.5)}
+    robots = {
+        "a": Robot(1, 0.0, lots, {"a/T": 1.0, "a/V": 1.0}),
+        "b": Robot(1, 0.0, {}, {"a/U": 1.0, "a/V": 8.0}),
+    }
+    assert {key: winner for key, (winner, _) in lines(held(robots)).items()} == {"a/T": "a", "a/U": "b", "a/V": ""}
+    # If what makes room finds another place, it takes it.
+    robots["c"] = Robot(1, 0.0, {}, {"a/V": 8.0})
+    assert lines(held(robots))["a/V"] == ("c", "")
+
+
+def test_an_agent_that_does_not_hear_of_all_adds_nothing_to_what_others_claim() -> None:
+    """b is in the middle, and has promised its only place to c, of which a does not hear."""
+    pair = {"a/T": Lot(9.0, together=("U",)), "a/U": Lot(9.0)}
+    robots = {
+        "a": Robot(1, 0.0, pair, {"a/T": 1.0}),
+        "b": Robot(1, 0.0, {}, {"a/U": 1.0, "c/W": 1.0}),
+        "c": Robot(1, 0.0, {"c/W": Lot(20.0)}, {}),
+    }
+    team = Team(robots)
+    team.apart.add(frozenset("ac"))
+    team.begin("a")
+    team.run()
+    assert team.rounds["a"].agreed and "c" not in team.rounds["a"].market.rows
+    assert team.allocation() == {"a": [], "b": ["c/W"], "c": []}
+
+
+def test_what_must_come_before_is_allocated_for_what_comes_after_it() -> None:
+    """First alone is worth less than it costs the team's only place, First and Then together are worth more."""
+    lots = {
+        "a/First": Lot(3.0, takes_s=4.0),
+        "a/Then": Lot(9.0, takes_s=4.0, ends_by_s=8.0, after=("First",)),
+        "a/Other": Lot(6.0, takes_s=4.0, ends_by_s=4.0),
+    }
+    robots = {"a": Robot(2, 0.0, lots, dict.fromkeys(lots, 1.0))}
+    assert {key: winner for key, (winner, _) in lines(held(robots)).items()} == {
+        "a/First": "a",
+        "a/Then": "a",
+        "a/Other": "",
+    }
+
+
+def test_a_lot_that_is_late_takes_its_mate_with_it() -> None:
+    lots = {"a/T": Lot(9.0, takes_s=5.0, ends_by_s=5.0, together=("U",)), "a/U": Lot(9.0), "a/V": Lot(9.0)}
+    rows = {
+        "a": Row(1, "a", at_most=3, lots=lots, costs={"a/T": 1.0, "a/V": 1.0}),
+        "b": Row(1, "a", at_most=3, costs={"a/U": 1.0, "a/V": 1.0}),
+    }
+    market = market_of(rows)
+    assert allowed(market, {"a": ["a/T"], "b": ["a/U", "a/V"]}) == {"a": ["a/T"], "b": ["a/U", "a/V"]}
+    late = market_of({**rows, "a": replace(rows["a"], lots={**lots, "a/V": Lot(9.0, takes_s=4.0, ends_by_s=4.0)})})
+    assert allowed(late, {"a": ["a/V", "a/T"], "b": ["a/U"]}) == {"a": ["a/V"], "b": []}
+
+
+def test_of_more_tasks_than_a_team_allocates_the_first_count_and_the_others_say_why() -> None:
+    """No agent puts up too many, but all together do."""
+    lots = {name: {f"{name}/T{number:03}": Lot(10.0) for number in range(200)} for name in "abc"}
+    everything = {key: 1.0 for mine in lots.values() for key in mine}
+    team = held({name: Robot(4, 0.1, lots[name], everything) for name in "abc"})
+    assert all(it.agreed and it.report([], 0.0).ignored == {} for it in team.rounds.values())
+    found = lines(team)
+    assert len({str(lines(team, name)) for name in team.robots}) == 1
+    left_out = [key for key, (_, reason) in found.items() if reason == "a team allocates at most 512 tasks"]
+    assert left_out == [f"c/T{number:03}" for number in range(112, 200)]
+    assert sum(winner != "" for winner, _ in found.values()) == 12
 
 
 def test_what_comes_after_another_task_is_planned_after_it_and_not_without_it() -> None:
@@ -157,10 +228,15 @@ def test_an_older_row_changes_nothing() -> None:
     assert auction.winners() == {"a/T": ("b", 10.0)}
 
 
-def test_a_cost_that_is_no_number_is_a_refusal() -> None:
+@pytest.mark.parametrize("cost", [math.nan, math.inf])
+def test_a_cost_that_is_no_number_is_a_refusal(cost: float) -> None:
+    """An infinite one says that the agent cannot reach the task."""
     auction = Round("a", RoundId(1, "a"), False, 1, 0.0, {"a/T": Lot(10.0)}, 0.0)
-    auction.price({"a/T": math.nan}, {}, 0.0)
-    assert auction.row.costs == {} and auction.row.refusals == {"a/T": "its cost is nan"} and auction.unpriced() == []
+    auction.price({"a/T": cost}, {}, 0.0)
+    assert auction.row.costs == {} and auction.unpriced() == []
+    assert auction.row.refusals == {"a/T": f"its cost is {cost:g}"}
+    (line,) = auction.report([], 0.0).lines
+    assert (line.winner, line.reason) == ("", "no agent can take it")
 
 
 def test_what_an_agent_claimed_that_has_gone_is_free() -> None:

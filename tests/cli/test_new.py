@@ -174,7 +174,7 @@ def test_new_refuses_a_bad_name_and_leaves_nothing(tmp_path):
     for kind, name, why in (
         ("task", "numpy", "a module called numpy is already installed here, in "),
         ("task", "pytest-timeout", "pytest_timeout"),
-        ("driver", "pose", "the packet type 'pose' exists already: pancakes.devices.Pose: choose another"),
+        ("driver", "sonar", "the packet type 'sonar' exists already: pancakes.devices.Sonar: choose another"),
     ):
         refused = new(kind, name, "--into", str(tmp_path))
         assert refused.exit_code == 1 and why in refused.stderr, "it would hide what is installed"

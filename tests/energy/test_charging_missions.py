@@ -8,12 +8,14 @@ from typing import Any
 import pytest
 from energy.docks import NEED, start_docks, states_of
 
-from pancakes.control import Create, Migrate, Start, Stop
+from pancakes.control import Create, Describe, Migrate, Start, Stop
 from pancakes.devices import Dock, DockState, Reserve
 from pancakes.energy.reserve import MOST_DOCKS, SILENT_S
 from pancakes.packet import CTRL, NEIGHBOURS, SYSTEM, Packet, agent_of
 from pancakes.task import Task
 from pancakes.testing import Fleet
+from pancakes.tools.cli.verbs.agent_checks import check_reserve
+from pancakes.tools.cli.verbs.checks import Facts
 
 ONE_DOCK = {"dock1": {"x_m": 0.0, "y_m": 0.0}}
 TWO_DOCKS = {"dock1": {"x_m": 0.2, "y_m": 0.0}, "dock2": {"x_m": 1.0, "y_m": 0.0}}
@@ -116,6 +118,8 @@ def test_a_dock_that_lies_is_named_and_left_for_another() -> None:
         assert lost["reason"] == "dock1/device/dock does not charge it"
         assert trouble_of(fleet, "a") == "dock1 says that it charges, and the battery does not rise: check the dock"
         assert trouble_of(fleet, "a") in a.lines("warning")
+        (found,) = check_reserve(a.ask(Describe()).result, Facts())
+        assert (found.level, found.text) == ("warning", trouble_of(fleet, "a"))
         assert a.wait_for_event("docked", timeout_s=60.0, dock="dock2")
         a.wait_for_event("charged", timeout_s=60.0)
         assert trouble_of(fleet, "a").endswith("check the dock"), "the other dock shows that it is not the battery"
@@ -126,6 +130,8 @@ def test_a_battery_that_does_not_charge_is_named() -> None:
         start_docks(fleet, TWO_DOCKS, {"a": {"x_m": 0.0, "y_m": 0.0, **need(level=0.6, charges=False)}})
         a = fleet.agents["a"]
         a.wait_until(lambda: trouble_of(fleet, "a").endswith("check the battery"), timeout_s=120.0)
+        (found,) = check_reserve(a.ask(Describe()).result, Facts())
+        assert found.text.endswith("check the battery")
         fleet.run_for(5.0)
         assert a.running() == ["Reserve", "Charge"], "it waits for a dock that may be good again"
 
@@ -241,6 +247,30 @@ def test_a_robot_that_hears_of_no_dock_has_no_reserve_and_says_so() -> None:
         fleet.run_for(10.0)
         reserve = fleet.agents["a"].agent.host_state.describe()["reserve"]
         assert (reserve["seconds"], reserve["trouble"]) == (0.0, "knows no dock: none has been heard of")
+
+
+def speed_mps(fleet: Fleet, robot: str) -> float:
+    world = fleet.agents["world"].task("World")
+    return float(next(it.v_mps for it in world.truth().bodies if it.name == robot))
+
+
+def test_a_robot_whose_pose_is_old_stands_on_its_way_to_a_dock_and_says_so() -> None:
+    with Fleet(1) as fleet:
+        start_docks(fleet, ONE_DOCK, {"a": {"x_m": 1.5, "y_m": 0.0, **need(level=0.3)}})
+        a = fleet.agents["a"]
+        a.wait_for_event("dock_chosen", timeout_s=30.0)
+        assert fleet.run_until(lambda: speed_mps(fleet, "a") > 0.05, 20.0)
+        assert a.ask(Stop("pose")).ok
+        fleet.run_for(3.0)
+        assert speed_mps(fleet, "a") == 0.0 and a.running() == ["Reserve", "Charge"]
+        fleet.run_for(10.0)
+        assert trouble_of(fleet, "a") == "its pose is too old to know the way to a dock"
+        assert a.agent.host_state.energy_reserve.seconds == 0.0, "it takes no task that it could not end at a dock"
+        (found,) = check_reserve(a.ask(Describe()).result, Facts())
+        assert found.text == trouble_of(fleet, "a")
+        assert a.ask(Start("pose")).ok
+        a.wait_for_event("charged", timeout_s=120.0)
+        assert trouble_of(fleet, "a") == ""
 
 
 def test_the_same_seed_gives_the_same_charging_to_the_byte() -> None:

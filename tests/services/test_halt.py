@@ -178,6 +178,24 @@ def test_halt_over_slow_links_is_in_time():
             assert not moving(name) and Wheels.told[name][-1][0] - began_s < 0.5
 
 
+def test_halt_is_told_again_by_an_agent_that_died_before_it_reached_the_others():
+    """Also over slow links: it is on disk before it is answered."""
+    Wheels.told = {}
+    with Fleet(seed=5, quality=Quality(latency_s=0.05, jitter_s=0.2)) as fleet:
+        a, *_ = robots(fleet, "a", "b", "c")
+        fleet.run_for(5.0)
+        fleet.faults.cut("a")
+        assert a.ask(Halt()).ok
+        fleet.crash("a")
+        fleet.run_for(2.0)
+        assert moving("b") and moving("c"), "they have not heard of it"
+        fleet.faults.calm()
+        fleet.restart("a")
+        assert fleet.run_until(lambda: not any(map(moving, "abc")), 20.0)
+        fleet.run_for(2.0)
+        assert not any(map(moving, "abc"))
+
+
 def test_dry_run_of_a_halt_moves_on(fleet):
     (a,) = robots(fleet, "a")
     reply = a.ask(Halt(dry_run=True))

@@ -87,6 +87,15 @@ def check_reserve(agent: dict[str, Any], facts: Facts) -> Iterator[Finding]:
         yield Finding("warning", agent["agent"], text, "bring it to a dock, or charge it by hand")
 
 
+@agent_check
+def check_allocation(agent: dict[str, Any], facts: Facts) -> Iterator[Finding]:
+    """Report tasks for which the newest round of the allocation has found no robot."""
+    for task, reason in sorted(agent.get("unplaced", {}).items()):
+        text = f"has {task}, and the allocation finds no robot for it: {reason}"
+        advice = f"see what each robot bids: pancakes what-if allocate {agent['agent']}"
+        yield Finding("warning", agent["agent"], text, advice)
+
+
 IN_DOUBT: Final = "in doubt"
 NEAR: Final = 0.9
 """The share of a bound at which a peer is reported, before the agent refuses it."""

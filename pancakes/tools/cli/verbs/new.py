@@ -32,10 +32,20 @@ _ABOUT: Final = {
         "Create a service.",
         "pancakes new service bookkeeping",
     ),
+    "filter": (
+        "Create a filter of an actuator: a drive is slow while the robot's computer is busy.",
+        "Create a filter of an actuator.",
+        "pancakes new filter careful-drive",
+    ),
     "cost": (
         "Create a cost function: the agent with the least busy computer takes the task.",
         "Create a cost function for migrations.",
         "pancakes new cost calm",
+    ),
+    "world": (
+        "Create a simulated world: robots on a rail, where the calls of your own simulator belong.",
+        "Create a simulated world.",
+        "pancakes new world flat-land",
     ),
     "plugin": (
         "Create a plug-in: a driver, a task, a service and packet types that work together, and two agents.",
@@ -64,7 +74,7 @@ class DistributionName(click.ParamType):
 
 @click.group()
 def new() -> None:
-    """Create a package for your own task, driver, service, cost function or plug-in.
+    """Create a package for your own task, driver, service, filter, cost function, world or plug-in.
 
     Each command writes a working distribution: with entry points, tests that pass, a configuration that runs it, and a
     README. Start from there.

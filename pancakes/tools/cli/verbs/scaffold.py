@@ -21,7 +21,7 @@ from pancakes.errors import PancakesError
 from pancakes.packet import CORE_CHANNELS, body_class
 from pancakes.util.plugins import Plugins
 
-KINDS: Final = ("task", "driver", "service", "cost", "plugin")
+KINDS: Final = ("task", "driver", "service", "filter", "cost", "world", "plugin")
 LONGEST: Final = 30
 """With longer names the lines of the templates would be too long."""
 
@@ -44,7 +44,9 @@ PURPOSES: Final = {
     "package/task.py": "the task",
     "package/watch.py": "the task",
     "package/service.py": "the service",
+    "package/filter.py": "the filter",
     "package/cost.py": "the cost function",
+    "package/world.py": "the world",
     "package/desk.py": "the service and its task",
     "package/tally.py": "the task of the service",
     "configs/package.toml": "an agent that runs it",
