@@ -1,6 +1,7 @@
 """Tasks that ask, and tasks that answer: at once, later, after a while, or not as they should."""
 
 import asyncio
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -69,7 +70,12 @@ class GiveMe(Request[str, str], frozen=True):
     refusal: int = 0
 
 
-KINDS = {"Where": Where, "SlowWhere": SlowWhere, "Drive": Drive, "GiveMe": lambda value: GiveMe(**value)}
+KINDS: dict[str, Callable[[Any], Request[Any, Any]]] = {
+    "Where": Where,
+    "SlowWhere": SlowWhere,
+    "Drive": Drive,
+    "GiveMe": lambda value: GiveMe(**value),
+}
 
 
 @dataclass
