@@ -166,6 +166,11 @@ class PluginError(PancakesError):
     """An entry point is missing or fails to load. The message names the distribution."""
 
 
+class MissingExtraError(PancakesError):
+    """What an extra brings is not installed. The message says what to install. A task or service that fails with it is
+    given up at once, as each further try would fail too."""
+
+
 class ClassError(PancakesError, TypeError):
     """A task, service or driver is written in a way that cannot work. The message has the file and line of each fault,
     and what to write instead. Raised when the class is made."""
@@ -282,7 +287,7 @@ def needing_extra(what: str) -> Iterator[None]:
         what: what does not work without it, as the beginning of the sentence.
 
     Raises:
-        PancakesError: an extra is not installed.
+        MissingExtraError: an extra is not installed.
     """
     try:
         yield
@@ -290,7 +295,7 @@ def needing_extra(what: str) -> Iterator[None]:
         missing = missing_extra(error)
         if not missing:
             raise
-        raise PancakesError(f"{what} without {missing}: pip install 'pancakes-agents[{EXTRAS[missing]}]'") from None
+        raise MissingExtraError(f"{what} without {missing}: pip install 'pancakes-agents[{EXTRAS[missing]}]'") from None
 
 
 LONGEST_TEXT: Final = 500

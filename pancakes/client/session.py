@@ -20,7 +20,7 @@ import secrets
 import threading
 import uuid
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import AbstractContextManager, suppress
+from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import count
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
@@ -135,7 +135,7 @@ class News:
         lock: held while a condition is checked.
     """
 
-    def __init__(self, clock: Clock, lock: AbstractContextManager[object]) -> None:
+    def __init__(self, clock: Clock, lock: threading.RLock) -> None:
         self._clock = clock
         self._lock = lock
         self._closed = False
@@ -168,9 +168,16 @@ class News:
             while True:
                 if self._closed:
                     raise PancakesError(CLOSED)
-                with self._lock:
+                # Not `with`: from Python 3.14 on Ctrl-C may come between its taking of the lock and its block.
+                try:
+                    self._lock.acquire()
                     if condition():
                         return True
+                finally:
+                    try:
+                        self._lock.release()
+                    except RuntimeError:
+                        pass  # Ctrl-C came before it was taken
                 left_s = until_s - self._clock.now()
                 if left_s <= 0:
                     return False

@@ -13,7 +13,7 @@ from typing import Any, Final, Protocol, assert_never
 import msgspec
 
 from pancakes.control import Command, Refusal
-from pancakes.errors import ClassError, PancakesError, describe, traceback_of
+from pancakes.errors import ClassError, MissingExtraError, PancakesError, describe, traceback_of
 from pancakes.kernel.actor import ActorCore, core_of
 from pancakes.kernel.kernel import Kernel
 from pancakes.kernel.mailbox import Reference, tell
@@ -275,7 +275,7 @@ class ServiceKeeper:
 
     def _fail(self, place: ServicePlace, error: BaseException, hopeless: bool = False) -> None:
         place.traceback = traceback_of(error)
-        hopeless = hopeless or isinstance(error, ClassError)
+        hopeless = hopeless or isinstance(error, (ClassError, MissingExtraError))
         self.feed(place, Finished(describe(error, place.spec.cls), True, hopeless, self.closing))
 
     # What the lives of the services ask for --------------------------------------------------------------------

@@ -26,6 +26,8 @@ import msgspec
 
 from pancakes.durable.snapshot import AskedRequest, CarriedRequests, KeptAnswer, OpenRequest
 from pancakes.errors import (
+    LONGEST_SENTENCE,
+    LocalProtocolError,
     MailboxFullError,
     NoPermitError,
     PancakesError,
@@ -50,6 +52,7 @@ from pancakes.kernel.request_packets import (
     error_of,
     read,
 )
+from pancakes.mesh.codec import encodable
 from pancakes.packet import TO_TASK, Cause, Packet, body_class, task_address, type_name
 from pancakes.request import Answer, Asked, Pending, Request, RequestError, RequestTimeoutError
 from pancakes.settings import plain_value
@@ -69,6 +72,9 @@ MOST_OPEN: Final = 64
 """The most requests that one task was asked and has not answered."""
 MOST_CAME: Final = 256
 """The most feedback on one request that waits for its method or coroutine; of more the oldest is lost."""
+MOST_BYTES: Final = 250_000
+"""The most bytes of a request, of an answer and of each feedback, as msgpack: a packet to a task has room for them.
+Also between tasks of one agent, which may be apart by the next time."""
 AGAIN_S: Final = 1.0
 """An answer that finds no room is sent again after this time, in host seconds."""
 TYPES: Final = (ASK, FEEDBACK, ANSWERED, CANCEL)
@@ -327,10 +333,7 @@ class Requests:
             raise PancakesError(f"{core.address} asks itself, and could never answer meanwhile: call the method")
         if len(self._asked) >= MOST_ASKED:
             raise RequestError(f"{core.address} waits for {MOST_ASKED} answers already", "busy")
-        try:
-            ask = Ask(type_name(request), plain_value(request), timeout_s, own)
-        except TypeError as error:
-            raise RequestError(f"{type(request).__name__} cannot be sent: {error}", "invalid") from None
+        ask = Ask(type_name(request), _plain(request, f"the request {type_name(request)!r}"), timeout_s, own)
         if not own:
             self.subscribe()
         packet = core.publish(REQUESTS, ask, to)
@@ -558,7 +561,8 @@ class Requests:
 
     def refuse(self, key: Cause, text: str, code: RefusalCode) -> bool:
         """See `Pending.refuse`."""
-        return self._reply(key, Answered(*key, None, code if code in CODES else "failed", text))
+        short = text if len(text) <= LONGEST_SENTENCE else f"{text[:LONGEST_SENTENCE]} ..."
+        return self._reply(key, Answered(*key, None, code if code in CODES else "failed", short))
 
     def report(self, key: Cause, value: Any) -> bool:
         """See `Pending.feedback`."""
@@ -654,11 +658,24 @@ def _checked(value: Any, kind: Any, what: str) -> Any:
     Raises:
         RequestError: they do not, or the value cannot be sent.
     """
+    plain = _plain(value, what)
+    _converted(plain, kind, what)
+    return plain
+
+
+def _plain(value: Any, what: str) -> Any:
+    """Return a value as plain values that can be sent.
+
+    Raises:
+        RequestError: there are none, or they take too many bytes.
+    """
     try:
         plain = plain_value(value)
-    except TypeError as error:
-        raise RequestError(f"{what} cannot be sent: {error}") from None
-    _converted(plain, kind, what)
+        size = len(codecs.encode(encodable(plain)))
+    except (LocalProtocolError, *codecs.UNENCODABLE) as error:
+        raise RequestError(f"{what} cannot be sent: {error}", "invalid") from None
+    if size > MOST_BYTES:
+        raise RequestError(f"{what} takes {size} bytes, and {MOST_BYTES} is the most: send it in parts", "invalid")
     return plain
 
 

@@ -14,7 +14,15 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from pancakes.control import Command, Describe, Hold, Refusal
-from pancakes.errors import ClassError, ControlRefusedError, NoPermitError, PancakesError, describe, traceback_of
+from pancakes.errors import (
+    ClassError,
+    ControlRefusedError,
+    MissingExtraError,
+    NoPermitError,
+    PancakesError,
+    describe,
+    traceback_of,
+)
 from pancakes.kernel.actor import ActorCore, core_of
 from pancakes.kernel.handlers import on
 from pancakes.kernel.kernel import Kernel
@@ -347,7 +355,8 @@ class ServiceCore(ActorCore):
             self.feed(slot, Finished("it stopped itself", closing=self.closing))
 
     def _fail(self, slot: Slot, error: BaseException, hopeless: bool = False) -> None:
-        hopeless, blameless = hopeless or isinstance(error, ClassError), isinstance(error, NoPermitError)
+        hopeless = hopeless or isinstance(error, (ClassError, MissingExtraError))
+        blameless = isinstance(error, NoPermitError)
         slot.failure = Failure(describe(error, self.author_of(slot)), traceback_of(error), self.now())
         self.feed(slot, Finished(slot.failure.text, True, hopeless, self.closing, blameless))
 

@@ -26,9 +26,9 @@ from environment import ROOT, make_venv, run, say
 from release_checks import faults_of, packaged
 
 TOOLS = ("build>=1", "setuptools>=68", "wheel", "twine>=5")
-PYTHONS = ("3.11", "3.12", "3.13")
+PYTHONS = ("3.11", "3.12", "3.13", "3.14")
 """The versions of Python that are supported."""
-NEXT_PYTHON = "3.14"
+NEXT_PYTHON = "3.15"
 """The next Python: it is tried, but may be skipped if the requirements of Pancakes are not available for it."""
 PYENV = Path(os.environ.get("PYENV_ROOT") or Path.home() / ".pyenv") / "versions"
 

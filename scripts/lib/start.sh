@@ -10,7 +10,7 @@ unset PYTHONDONTWRITEBYTECODE
 
 # Prints a Python that is new enough; tries $PYTHON first if it is set.
 find_python() {
-    for name in "${PYTHON:-}" python3.13 python3.12 python3.11 python3 python; do
+    for name in "${PYTHON:-}" python3.14 python3.13 python3.12 python3.11 python3 python; do
         if [ -n "$name" ] && "$name" -c 'import sys; sys.exit(sys.version_info < (3, 11))' </dev/null >/dev/null 2>&1; then
             printf '%s\n' "$name"
             return 0

@@ -96,3 +96,16 @@ def test_without_zeroconf_a_check_a_terminal_and_the_task_say_what_to_install(tm
     with pytest.raises(PancakesError, match=r"pancakes-agents\[mdns\]"):
         check_installed("no agent is announced or found by mDNS")
     assert any(sentence in str(it) for it in machine_doubts(announcing(tmp_path), Plugins()))
+
+
+def test_a_check_says_which_extras_the_services_need(tmp_path, monkeypatch):
+    monkeypatch.setattr("pancakes.tools.cli.start_checks.find_spec", lambda name: None)
+    services = '[service.metrics]\ntype = "metrics"\n[service.spans]\ntype = "traces"\n'
+    path = tmp_path / "a.toml"
+    path.write_text(f'schema = 1\n[agent]\nname = "robot1"\n{services}')
+    said = [str(it) for it in machine_doubts(load(path, (), Plugins()), Plugins())]
+    assert [it.partition("a.toml:")[2] for it in said if "pip install" in it] == [
+        "5: [service.metrics] type: there are no metrics without prometheus_client: pip install"
+        " 'pancakes-agents[metrics]'",
+        "7: [service.spans] type: no traces are sent without opentelemetry: pip install 'pancakes-agents[otel]'",
+    ]

@@ -169,7 +169,7 @@ def raw(address: str) -> socket.socket:
     ("said", "why"),
     [
         (b"GET / HTTP/1.1\r\n\r\n", "it speaks HTTP"),
-        (b"\x16\x03\x01\xff\xff" + bytes(100), "TLS failed"),
+        (b"\x16\x03\x01\x00\x04\x63\x00\x00\x00", "TLS failed: unexpected message"),  # no message of TLS has this type
         (b"", "the other side closed the connection, and did not say who it is"),
     ],
 )

@@ -463,6 +463,7 @@ def test_a_full_disk_gets_a_sentence(tmp_path):
         with files_of_at_most(1000):
             said = run("export", tmp_path / "again", "--out", place, "--storage", storage, code=1)
         assert said.startswith(f"the bag {place} cannot be written: ")
+        assert not place.exists()
 
 
 def test_nothing_is_overwritten(tmp_path):

@@ -1,6 +1,7 @@
 """Tasks that ask, and tasks that answer: at once, later, after a while, or not as they should."""
 
 import asyncio
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -60,7 +61,21 @@ class Go(Struct, frozen=True):
     cancel_after_s: float = 0.0
 
 
-KINDS = {"Where": Where, "SlowWhere": SlowWhere, "Drive": Drive}
+@packet_type("test.give_me")
+class GiveMe(Request[str, str], frozen=True):
+    """Is answered by so many characters, or has feedback of so many."""
+
+    answer: int = 0
+    feedback: int = 0
+    refusal: int = 0
+
+
+KINDS: dict[str, Callable[[Any], Request[Any, Any]]] = {
+    "Where": Where,
+    "SlowWhere": SlowWhere,
+    "Drive": Drive,
+    "GiveMe": lambda value: GiveMe(**value),
+}
 
 
 @dataclass
@@ -99,6 +114,14 @@ class Finder(Task):
             pending.feedback(float(second + 1))
         self.state.ended += 1
         return Position(float(request.seconds))
+
+    @answers(GiveMe)
+    async def give(self, request: GiveMe, pending: Pending[str, str]) -> str:
+        if request.refusal:
+            raise RequestError("n" * request.refusal, "busy")
+        if request.feedback:
+            pending.feedback("f" * request.feedback)
+        return "a" * request.answer
 
     @on("system", Go, addressed=True)
     def told(self, go: Go) -> None:
@@ -151,7 +174,12 @@ class Asker(Task):
     @on("system", Go, addressed=True)
     def go(self, go: Go) -> None:
         request = KINDS[go.request](go.value)
-        self.state.asked = self.ask(go.to, request, then=self.answered, timeout_s=go.timeout_s, feedback=self.felt)
+        try:
+            self.state.asked = self.ask(go.to, request, then=self.answered, timeout_s=go.timeout_s, feedback=self.felt)
+        except RequestError as error:
+            if error.code != "invalid":
+                raise
+            self.state.answers.append(said(error))
         if go.cancel_after_s:
             self.after(go.cancel_after_s, self.state.asked.cancel)
 

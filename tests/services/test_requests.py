@@ -120,6 +120,37 @@ class TestAnAnswer:
         assert answer.startswith("RequestError invalid:")
         assert state(fleet, "Finder").asked == 0
 
+    @pytest.mark.parametrize("to", [FINDER, "b/client/Finder"])
+    def test_to_a_request_that_is_too_large_is_an_error_at_once(self, fleet, asker, to):
+        a, *_ = start(fleet, asker)
+        go(a, value="x" * 240_000, to=to)
+        fleet.run_for(2.0)
+        assert state(fleet, "Asker").answers == CUP
+        go(a, value="x" * 250_000, to=to)
+        fleet.run_for(0.0)
+        assert state(fleet, "Asker").answers[1:] == [
+            "RequestError invalid: the request 'test.where' takes 250011 bytes, and 250000 is the most:"
+            " send it in parts"
+        ]
+
+    @pytest.mark.parametrize("what", ["answer", "feedback"])
+    def test_that_is_too_large_is_an_error_at_once(self, fleet, asker, what):
+        a, *_ = start(fleet, asker)
+        go(a, "GiveMe", value={what: 240_000})
+        go(a, "GiveMe", value={what: 300_000})
+        fleet.run_for(1.0)
+        heard = state(fleet, "Asker")
+        (error,) = [it for it in heard.answers if it.startswith("RequestError invalid: the ")]
+        assert error.endswith("takes 300005 bytes, and 250000 is the most: send it in parts")
+        assert [len(it) for it in (*heard.answers, *heard.feedback)].count(240_000) == 1
+
+    def test_that_refuses_at_length_is_cut(self, fleet, asker):
+        a, *_ = start(fleet, asker)
+        go(a, "GiveMe", value={"refusal": 300_000})
+        fleet.run_for(1.0)
+        (answer,) = state(fleet, "Asker").answers
+        assert answer.startswith("RequestError busy: nnn") and answer.endswith("n ...") and len(answer) < 5000
+
     def test_is_a_refusal_if_the_task_answers_no_such_request(self, fleet, asker):
         a, *_ = start(fleet, asker)
         go(a, "Drive", FINDER, 3)
@@ -325,6 +356,16 @@ class TestATaskThatIsAsked:
 
 
 class TestATaskThatAsks:
+    def test_logs_an_answer_that_its_class_has_no_method_for_any_more(self, fleet, monkeypatch):
+        a, _, c = start(fleet, Asker)
+        go(a, "Drive", DRIVER, 3, timeout_s=30.0)
+        fleet.run_for(1.5)
+        assert a.ask(Migrate("Asker", to="c")).ok
+        monkeypatch.delattr(Asker, "answered")  # as in another version of it
+        fleet.run_for(6.0)
+        lost = [it for it in c.lines("warning") if "is lost" in it]
+        assert lost == ["c/client/Asker has no method 'answered' any more: an answer for it is lost"]
+
     def test_gets_the_answer_where_it_has_moved_to(self, fleet):
         a, *_ = start(fleet, Asker)
         go(a, "Drive", DRIVER, 5, timeout_s=30.0)

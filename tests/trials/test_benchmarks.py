@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import ast
 import json
+import os
+import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -19,6 +22,8 @@ from benchmarks.observers import Compared, Round, Span, quiet
 from benchmarks.peer_runs import pair
 from benchmarks.profiles import summary
 from click.testing import CliRunner, Result
+
+PARTS = Path(__file__).parents[2] / "trials" / "benchmarks" / "python_parts.py"
 
 
 def test_bench_keeps_what_it_has_measured(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -259,3 +264,16 @@ else:
     say(times_s=[], per_s=7.0, received=packet[BODY]["number"] - {lost}, near=sys.argv[2])
 hear()
 """
+
+
+def test_the_parts_of_an_agent_are_measured_without_pancakes() -> None:
+    """As on a Python that Pancakes cannot be installed on."""
+    program = "import sys; sys.modules['pancakes'] = None; import python_parts; print(python_parts.figures(0.001))"
+    ended = subprocess.run(
+        [sys.executable, "-c", program],
+        capture_output=True,
+        text=True,
+        env={**os.environ, "PYTHONPATH": str(PARTS.parent)},
+    )
+    made = ast.literal_eval(ended.stdout)
+    assert made["gil"] is True and min(it for name, it in made.items() if name not in ("python", "gil")) > 0.0

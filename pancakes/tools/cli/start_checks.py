@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from pancakes.config.state_dir import state_dir_of
-from pancakes.errors import ConfigError, Fault
+from pancakes.errors import EXTRAS, ConfigError, Fault
 from pancakes.journal.file_journal import fault_of
 from pancakes.mesh.address import is_local, parse_address
 from pancakes.mesh.sockets import why_not_here
@@ -74,6 +74,24 @@ def _why_not_made(path: Path) -> str:
     return "" if os.access(existing, os.W_OK | os.X_OK) else f"this user may not write in {existing}"
 
 
+def _missing_extras(config: Config) -> Iterator[tuple[KeyPath, str]]:
+    """Yield what an agent would be told to do without, as an extra is not installed."""
+    wanted: list[tuple[KeyPath, str, str]] = []
+    if config.agent.mdns:
+        wanted.append((("agent", "mdns"), "zeroconf", "no agent is announced or found by mDNS"))
+    for name, service in config.services.items():
+        if service.type in OF_SERVICES:
+            wanted.append((("service", name, "type"), *OF_SERVICES[service.type]))
+    for key, module, what in wanted:
+        if find_spec(module) is None:
+            yield key, f"{what} without {module}: pip install 'pancakes-agents[{EXTRAS[module]}]'"
+
+
+OF_SERVICES: Final = {
+    "metrics": ("prometheus_client", "there are no metrics"),
+    "traces": ("opentelemetry", "no traces are sent"),
+}
+"""The module that a service of Pancakes' own needs from an extra, and what there is not without it."""
 NOT_HERE: Final = "it would not start on this machine"
 
 
@@ -91,9 +109,7 @@ def machine_doubts(config: Config, plugins: Plugins) -> list[Fault]:
 
     found = doubts_of(config)
     found += [config.places.fault(key, f"{NOT_HERE}: {why}") for key, why in start_doubts(config)]
-    if config.agent.mdns and find_spec("zeroconf") is None:
-        text = "no agent is announced or found by mDNS without zeroconf: pip install 'pancakes-agents[mdns]'"
-        found.append(config.places.fault(("agent", "mdns"), text))
+    found += [config.places.fault(key, text) for key, text in _missing_extras(config)]
     try:
         keys_for(config, network_settings(config), plugins)
     except ConfigError as error:

@@ -138,7 +138,7 @@ def open_host(host: str, errors: int) -> tuple[subprocess.Popen[bytes], bytes]:
     # The command contains the marker as a number, so that a shell which echoes its commands does not print the marker.
     begun = b"\n" + marker + b"{}\n"
     own = f"python3.{sys.version_info.minor}"
-    names = " ".join(dict.fromkeys((own, "python3", "python3.13", "python3.12", "python3.11", "python3.14")))
+    names = " ".join(dict.fromkeys((own, "python3", "python3.14", "python3.13", "python3.12", "python3.11")))
     program = (
         f"for p in {names}; do "
         'if "$p" -c "import sys; sys.exit(sys.version_info < (3, 11))" 2>/dev/null; then '

@@ -5,6 +5,8 @@ What an agent has published itself becomes messages on `/AGENT/DEVICE`; what it 
 
 from __future__ import annotations
 
+import os
+import shutil
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
@@ -93,7 +95,7 @@ class BagExport:
     _heard: Counter[str] = field(default_factory=Counter)
 
     def write(self, entries: Iterable[RecordedPacket], path: Path, storage: str) -> None:
-        """Write a bag.
+        """Write a bag; if that fails, nothing is left of it.
 
         Args:
             entries: the recording, in the order of time.
@@ -104,6 +106,7 @@ class BagExport:
             RecordingError: it cannot be written, or the recording cannot be read.
         """
         self._store = typestore()
+        is_new = not os.path.lexists(path)
         try:
             with Writer(path, version=VERSION, storage_plugin=STORAGES[storage]) as writer:
                 connections: dict[str, Any] = {}
@@ -113,9 +116,12 @@ class BagExport:
                         if topic not in connections:
                             connections[topic] = writer.add_connection(topic, one.kind, typestore=self._store)
                         writer.write(connections[topic], entry.time_ns, one.data)
-        except PancakesError:
-            raise
-        except Exception as error:  # on a full disk `rosbags` raises its own, and SQLite's
+        except BaseException as error:
+            if is_new:
+                shutil.rmtree(path, ignore_errors=True)
+            if isinstance(error, PancakesError) or not isinstance(error, Exception):
+                raise
+            # On a full disk `rosbags` raises its own, and SQLite's.
             reason = getattr(error, "strerror", None) or str(error) or type(error).__name__
             raise RecordingError(f"the bag {path} cannot be written: {reason}") from None
 
