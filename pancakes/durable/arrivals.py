@@ -6,7 +6,7 @@ All in the service's actor.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
 from msgspec.structs import replace
@@ -15,7 +15,7 @@ from pancakes.control import Refusal, Revive
 from pancakes.durable.checkpoints import carried_of, settings_now, spec_of
 from pancakes.durable.courier_messages import COURIER, SendUnsent
 from pancakes.durable.host_state import HostState
-from pancakes.durable.hosting import SURE, HostingService, Place, began_from
+from pancakes.durable.hosting import SURE, Place, began_from
 from pancakes.durable.installed import Installed
 from pancakes.durable.questions import Disputes
 from pancakes.durable.reconcile import AskRoom, NoPlace, PlaceFree, Room
@@ -32,6 +32,9 @@ from pancakes.supervision.lifecycle import CLOSES, Admitted, LeaveRefused
 from pancakes.supervision.slots import Slot
 from pancakes.task import Task, TaskSpec
 from pancakes.util.arrays import alike
+
+if TYPE_CHECKING:
+    from pancakes.durable.client_service import ClientServiceCore
 
 SETTLE_S: Final = 10.0
 """How long, in host time, a rule leaves a task alone that has just arrived: no ping-pong."""
@@ -50,7 +53,7 @@ class Arrivals:
 
     def __init__(
         self,
-        host: HostingService,
+        host: ClientServiceCore,
         catalogue: Installed,
         records: Records,
         state: HostState,

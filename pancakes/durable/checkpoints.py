@@ -9,14 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from functools import cache, partial
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
 from msgspec.structs import asdict, replace
 
 from pancakes.durable.courier_messages import COURIER, AskedBegan, CameFor, Say
 from pancakes.durable.delivery import ForwardTo, Letter, PacketId, Receipt, StreamsBegan
-from pancakes.durable.hosting import HostingService, Place, TaskLetters, began_from, last_checkpoint, plain_of
+from pancakes.durable.hosting import Place, TaskLetters, began_from, last_checkpoint, plain_of
 from pancakes.durable.installed import Installed
 from pancakes.durable.messages import REGISTRAR
 from pancakes.durable.reconcile import Outcome, Write
@@ -38,6 +38,9 @@ from pancakes.supervision.slots import Slot
 from pancakes.task import TaskSpec
 from pancakes.util import codecs
 from pancakes.util.arrays import alike
+
+if TYPE_CHECKING:
+    from pancakes.durable.client_service import ClientServiceCore
 
 
 def snapshot_of(
@@ -163,7 +166,7 @@ class Checkpointing:
         late: the places of tasks whose checkpoint had to wait for the disk.
     """
 
-    def __init__(self, host: HostingService) -> None:
+    def __init__(self, host: ClientServiceCore) -> None:
         self._host = host
         self.late: dict[TaskId, Place] = {}
         self._begun = False
@@ -320,7 +323,7 @@ class Deliveries:
         host: the service.
     """
 
-    def __init__(self, host: HostingService) -> None:
+    def __init__(self, host: ClientServiceCore) -> None:
         self._host = host
 
     def heard(self, message: CameFor | LetterGiven | AskedBegan) -> None:

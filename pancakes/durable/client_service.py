@@ -37,10 +37,8 @@ from pancakes.durable.record import TaskId, rest_of
 from pancakes.durable.register import Standing, Wanted
 from pancakes.durable.register_messages import (
     CannotStart,
-    ClaimsCame,
     Concluded,
     CopyNoticed,
-    FactsCame,
     Feed,
     GoodbyeSaid,
     Guarded,
@@ -48,6 +46,7 @@ from pancakes.durable.register_messages import (
     HostEnded,
     Judge,
     Judged,
+    KnownCame,
     NeighbourCame,
     OfferRefused,
     PermitOver,
@@ -485,7 +484,7 @@ class ClientServiceCore(ServiceCore):
                         self._has_no_permit(slot, self.places.at[slot.name])
             case LetterGiven() | CameFor() | AskedBegan():
                 self._deliveries.heard(message)
-            case ClaimsCame() | NeighbourCame() | FactsCame() | CopyNoticed():
+            case NeighbourCame() | KnownCame() | CopyNoticed():
                 self._disputes.heard(message)
             case Imported():
                 self.begin_command(message.waiting, request_of(message.waiting))

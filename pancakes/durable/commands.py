@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import Any, Final, Literal
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 from msgspec.structs import replace
 
@@ -17,10 +17,10 @@ from pancakes.durable.answers import fact_of, newest_fact
 from pancakes.durable.arrivals import Arrivals
 from pancakes.durable.bidding_messages import MIGRATOR, AttemptOver
 from pancakes.durable.checkpoints import snapshot_of
-from pancakes.durable.hosting import Creation, HostingService, Place, Recovery
+from pancakes.durable.hosting import Creation, Place, Recovery
 from pancakes.durable.messages import Fact
 from pancakes.durable.migration import Mover
-from pancakes.durable.questions import Disputes, InquiryFindings
+from pancakes.durable.questions import Disputes
 from pancakes.durable.reconcile import Outcome, Removed
 from pancakes.durable.record import Lost, Record, TaskId, dispute_of
 from pancakes.durable.register import MORE_THAN_MIGRATIONS, NO_EPOCH, NOBODY, Epoch, Register, Standing, Wanted
@@ -33,6 +33,9 @@ from pancakes.packet import agent_of, join
 from pancakes.supervision.lifecycle import CLOSES, Answer, Request, State, StopAsked, request_of
 from pancakes.supervision.slots import Slot
 from pancakes.task import TaskSpec
+
+if TYPE_CHECKING:
+    from pancakes.durable.client_service import ClientServiceCore
 
 
 def was_forgotten(record: Record) -> bool:
@@ -112,7 +115,7 @@ class Recoveries:
     """
 
     def __init__(
-        self, host: HostingService, records: Records, mover: Mover, arrivals: Arrivals, disputes: Disputes
+        self, host: ClientServiceCore, records: Records, mover: Mover, arrivals: Arrivals, disputes: Disputes
     ) -> None:
         self._host = host
         self._records = records
@@ -411,7 +414,7 @@ class Creations:
 
     def __init__(
         self,
-        host: HostingService,
+        host: ClientServiceCore,
         records: Records,
         arrivals: Arrivals,
         disputes: Disputes,
@@ -444,7 +447,7 @@ class Creations:
         asked = Creation(request, spec, self._first_snapshot(spec, task_id), body.dry_run)
         self._refuse_unfit(task_id, asked)
         self._unreserve(task_id)  # until the others have answered
-        self._disputes.inquiries.begin(task_id, spec.type, partial(self._asked, task_id, asked))
+        self._disputes.questions.inquire(task_id, spec.type, partial(self._asked, task_id, asked))
 
     def _spec(self, body: Create) -> TaskSpec:
         if key := next((key for key in body.keys if key in NOT_ITS_KEYS), ""):
@@ -469,7 +472,7 @@ class Creations:
             raise ControlRefusedError(f"{host.address} ends: {CLOSES}", "busy")
         if (slot := host.slots.get(task_id.name)) is not None:
             raise ControlRefusedError(f"{slot.address} is there already, and {slot.life.word}: choose another name")
-        if self._disputes.inquiries.about(task_id) or self._place(task_id).creation is not None:
+        if self._disputes.questions.inquires(task_id) or self._place(task_id).creation is not None:
             raise ControlRefusedError(f"{task_id} is being created already", "busy")
         if lost := self._records.lost(task_id):
             raise ControlRefusedError(lost.undecided(host.agent))
@@ -495,12 +498,12 @@ class Creations:
     def _unreserve(self, task_id: TaskId) -> None:
         self._host.kernel.registry.unreserve(join(self._host.address, task_id.name))
 
-    def _asked(self, task_id: TaskId, asked: Creation, found: InquiryFindings) -> None:
+    def _asked(self, task_id: TaskId, asked: Creation, facts: Sequence[Fact], silent: Sequence[str]) -> None:
         """The other agents have said what they know of the task."""
         host, place = self._host, self._place(task_id)
         try:
             self._refuse_known(task_id)  # what has come meanwhile
-            seen = self._seen(task_id, place.record, found)
+            seen = self._seen(task_id, place.record, facts)
             self._refuse_unfit(task_id, asked)
         except ControlRefusedError as error:
             host.reply(asked.request, Refusal.of(error))
@@ -509,14 +512,13 @@ class Creations:
         jump = MORE_THAN_MIGRATIONS if asked.spec.guard is not None else 1
         if asked.dry_run:
             self._unreserve(task_id)
-            host.reply(asked.request, result=_result(task_id, seen + jump, found.silent))
+            host.reply(asked.request, result=_result(task_id, seen + jump, silent))
             return
         self._tell_asked("create", task_id, asked.request)
-        if found.silent:
-            silent = ", ".join(found.silent)
-            host.log("warning", f"{task_id} is created, although nothing was heard of it from {silent}")
+        if silent:
+            host.log("warning", f"{task_id} is created, although nothing was heard of it from {', '.join(silent)}")
         place = host.places[task_id]
-        place.creation = replace(asked, silent=tuple(found.silent))
+        place.creation = replace(asked, silent=tuple(silent))
         host.look_after(place, asked.request)
         begin = Begin(Epoch(seen + jump - 1, NOBODY), asked.snapshot)
         host.tell_registrar(place, begin, partial(self._created, place))
@@ -525,14 +527,14 @@ class Creations:
         if place.creation is not None and outcome in (Outcome.FAILED, Outcome.DECLINED):
             self.begun(place, place.creation, why or "it was decided otherwise")
 
-    def _seen(self, task_id: TaskId, record: Record, found: InquiryFindings) -> int:
+    def _seen(self, task_id: TaskId, record: Record, facts: Sequence[Fact]) -> int:
         """Returns the highest number of an epoch that is known of a task that is nowhere.
 
         Raises:
             ControlRefusedError: it may be somewhere.
         """
         own = fact_of(record) if not record.unborn else None
-        newest = newest_fact([own, *found.facts])
+        newest = newest_fact([own, *facts])
         other = self._disputes.claimant(task_id)
         if other is not None and (newest is None or other.epoch > newest.epoch):
             newest = Fact(task_id, Register(other.epoch))

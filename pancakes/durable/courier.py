@@ -14,7 +14,7 @@ from typing import Any, Final
 from msgspec.structs import replace
 
 from pancakes.durable.answers import fact_of
-from pancakes.durable.courier_messages import COURIER, AskedBegan, CameFor, OwnerHeard, Say, SendUnsent
+from pancakes.durable.courier_messages import COURIER, AskedBegan, CameFor, Say, SendUnsent
 from pancakes.durable.delivery import (
     MOST_STREAMS,
     RESEND_S,
@@ -32,6 +32,7 @@ from pancakes.durable.delivery import (
 )
 from pancakes.durable.messages import REGISTRAR, Fact, Known, WhoHas
 from pancakes.durable.record import TaskId
+from pancakes.durable.register_messages import KnownCame
 from pancakes.durable.snapshot import Posted
 from pancakes.durable.store import Records
 from pancakes.errors import LocalProtocolError, MigrationError, PancakesError, RemoteProtocolError
@@ -235,7 +236,7 @@ class Courier(ActorCore):
                 self._say(message.peer, message.body)
             case SendUnsent():
                 self._send()
-            case OwnerHeard():
+            case KnownCame():
                 self._ask_began(message)
             case _:
                 return super().take_message(message)
@@ -266,14 +267,14 @@ class Courier(ActorCore):
         elif isinstance(body, ForwardTo):
             self._forwarded(body, peer)
 
-    def _ask_began(self, heard: OwnerHeard) -> None:
+    def _ask_began(self, came: KnownCame) -> None:
         """Another agent owns tasks: asks what is lost of what was acknowledged for them."""
-        for asked in self._outbox.unsure_of(heard.claims):
-            self._asked.add((heard.peer, asked.task_id))
+        for asked in self._outbox.unsure_of(came.known.claims):
+            self._asked.add((came.peer, asked.task_id))
             try:
-                self.publish(NETWORK, asked, to=join(heard.peer, COURIER))
+                self.publish(NETWORK, asked, to=join(came.peer, COURIER))
             except PancakesError as error:
-                self.log("debug", f"{heard.peer} was not asked about {asked.task_id}: {error}")
+                self.log("debug", f"{came.peer} was not asked about {asked.task_id}: {error}")
 
     # What other couriers say -----------------------------------------------------------------------------------
 

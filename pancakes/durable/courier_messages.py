@@ -7,7 +7,6 @@ from typing import Final
 import msgspec
 
 from pancakes.durable.delivery import AskBegan, ForwardTo, Letter, Receipt, StreamsBegan
-from pancakes.durable.messages import Fact
 from pancakes.packet import Packet
 
 COURIER: Final = "kernel/Courier"
@@ -36,18 +35,6 @@ class Say(msgspec.Struct, frozen=True):
 
     peer: str
     body: Letter | Receipt | ForwardTo | StreamsBegan
-
-
-class OwnerHeard(msgspec.Struct, frozen=True):
-    """The registrar tells the courier what another agent owns.
-
-    Attributes:
-        peer: the other agent.
-        claims: the tasks.
-    """
-
-    peer: str
-    claims: tuple[Fact, ...]
 
 
 class AskedBegan(msgspec.Struct, frozen=True):

@@ -1,30 +1,25 @@
-"""What the parts of a hosting service share: the place of each task, and the service itself.
+"""What the parts of a hosting service share: the place of each task.
 
 A `Place` is everything that a service knows of one task: its slot, its record, its letters and its pending requests.
-`HostingService` is what the parts may use of the service. Everything here belongs to one actor and needs no lock.
+Everything here belongs to one actor and needs no lock.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Final, Protocol
+from typing import Final
 
 import msgspec
 
-from pancakes.control import Refusal
 from pancakes.durable.bidding_messages import HasMoved
-from pancakes.durable.courier import SharedOutbox
 from pancakes.durable.delivery import STREAMS, Letter, PacketId
-from pancakes.durable.host_state import HostState
 from pancakes.durable.messages import Solicit
-from pancakes.durable.reconcile import AnyEvent, Course, Outcome, Write
+from pancakes.durable.reconcile import Course, Outcome, Write
 from pancakes.durable.record import Record, TaskId
 from pancakes.durable.register import Epoch, Identity
-from pancakes.durable.snapshot import Posted, Snapshot, why_unwritable
+from pancakes.durable.snapshot import Snapshot, why_unwritable
 from pancakes.errors import MigrationError
 from pancakes.kernel.dead_letters import MOST_KNOWN
-from pancakes.kernel.handlers import Queue
-from pancakes.kernel.kernel import Kernel
 from pancakes.kernel.mailbox import Reference
 from pancakes.kernel.registry import SettingsNote
 from pancakes.kernel.timer import TaskTimer
@@ -445,75 +440,3 @@ class Places(dict[TaskId, Place]):
         place = here[0] if here else self[TaskId(self._me.agent, name)]
         place.slot = slot
         self.at[name] = place
-
-
-class HostingService(Reference, Protocol):
-    """A service that hosts tasks. All in its actor."""
-
-    me: Identity
-    boot: int
-    kernel: Kernel
-    slots: dict[str, Slot]
-    places: Places
-    residents: frozenset[str]
-    outbox: SharedOutbox
-    state: HostState
-    closing: bool
-
-    def subscribe(
-        self, channel: str, body: type | str | None, handler: Callable[[Packet], None], queue: Queue = ...
-    ) -> None: ...
-
-    def feed_place(self, place: Place, event: AnyEvent | None) -> None:
-        """Feeds an event to a task, and carries out what follows; None: nothing has happened to it."""
-
-    def snapshot(self, slot: Slot, carried: Carried | None, posted: Posted | None = None) -> bytes:
-        """Returns a task as data, encoded."""
-
-    def snapshot_at_rest(self, slot: Slot) -> bytes:
-        """Returns a task that does not run as data, encoded; empty: what its record has is what counts."""
-
-    def look_after(self, place: Place, request: Request) -> None:
-        """Sees to it that a request which waits for the journal is told so in time."""
-
-    def drop_state(self, slot: Slot) -> None: ...
-
-    def admit(self, slot: Slot) -> str: ...
-
-    def tell_registrar(
-        self,
-        place: Place,
-        event: Any,
-        then: Callable[[Outcome, str], None] | None = None,
-        *,
-        write: Write | None = None,
-        sequel: bytes = b"",
-        is_checkpoint: bool = False,
-    ) -> None:
-        """Feed an event to the register of a task."""
-
-    def on_disk(self, place: Place, packet: PacketId) -> None:
-        """A letter, and all before it in its stream, have had their effect for good."""
-
-    def connected(self, agent: str) -> bool:
-        """Returns whether there is a link to an agent now."""
-
-    def open_slot(self, spec: TaskSpec) -> Slot: ...
-
-    def hold_actuators(self, slot: Slot, reason: str) -> None: ...
-
-    def reply(self, request: Request, refusal: Refusal | None = None, result: Any = None) -> None: ...
-
-    def put_off(self, request: Request, reason: str) -> None: ...
-
-    def waits(self, request: Request) -> bool: ...
-
-    def publish(self, channel: str, body: Any, to: str = "") -> Any: ...
-
-    def log(self, level: str, text: str) -> None: ...
-
-    def event(self, kind: str, /, **fields: Any) -> None: ...
-
-    def call(self, function: Callable[[], None]) -> Any: ...
-
-    def after_host(self, delay_s: float, function: Callable[[], None]) -> Any: ...

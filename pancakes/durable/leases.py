@@ -14,7 +14,7 @@ import msgspec
 
 from pancakes.durable import messages, rules
 from pancakes.durable.deadlines import Deadlines
-from pancakes.durable.entry import Entry, Fed, Held, Registering, right_of
+from pancakes.durable.entry import Entry, Fed, Held, right_of
 from pancakes.durable.messages import MOST_AGE_S, REGISTRAR, CanGuard, MayGuard, choose
 from pancakes.durable.record import Record
 from pancakes.durable.register import (
@@ -32,6 +32,7 @@ from pancakes.packet import Fence, join
 
 if TYPE_CHECKING:
     from pancakes.durable.register_messages import Guarded
+    from pancakes.durable.registrar import Registrar
 
 REPLACED_S: Final = 60.0
 """A member that has said nothing for this long is replaced if there is another agent that can be one, in host time."""
@@ -53,7 +54,7 @@ class Leases:
         deadlines: those of its actor.
     """
 
-    def __init__(self, registrar: Registering, deadlines: Deadlines) -> None:
+    def __init__(self, registrar: Registrar, deadlines: Deadlines) -> None:
         self._registrar = registrar
         self._deadlines = deadlines
         self._choosing = False

@@ -290,6 +290,11 @@ class Known(msgspec.Struct, frozen=True):
     task_ids: _Asked
     facts: Annotated[tuple[Fact, ...], msgspec.Meta(max_length=MOST_ASKED)]
 
+    @property
+    def claims(self) -> list[Fact]:
+        """What it says of the tasks that it owns."""
+        return [fact for fact in self.facts if fact.register.owner == self.by and not fact.removed]
+
 
 @packet_type("task.boot")
 class BootRemembered(msgspec.Struct, frozen=True):

@@ -7,7 +7,7 @@ migration asks of the task: pause, resume, leave. All in the service's actor.
 from __future__ import annotations
 
 from functools import partial
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from pancakes.control import Describe, Migrate, Refusal, Remove, Stop
 from pancakes.durable.after_migration import Sequel
@@ -21,7 +21,7 @@ from pancakes.durable.bidding_messages import (
     Negotiate,
     ServiceBegan,
 )
-from pancakes.durable.hosting import HostingService, Move, Place
+from pancakes.durable.hosting import Move, Place
 from pancakes.durable.messages import REGISTRAR, Solicit
 from pancakes.durable.reconcile import (
     AttemptFailed,
@@ -58,6 +58,9 @@ from pancakes.supervision.lifecycle import RESTS, Request, State
 from pancakes.supervision.messages import Carried, GoOn, StandStill
 from pancakes.supervision.slots import CHANGES, STUCK_S, Slot
 
+if TYPE_CHECKING:
+    from pancakes.durable.client_service import ClientServiceCore
+
 
 class Departures:
     """Carries out what migrations ask of tasks that leave one service. All in that service's actor.
@@ -66,7 +69,7 @@ class Departures:
         host: the service.
     """
 
-    def __init__(self, host: HostingService) -> None:
+    def __init__(self, host: ClientServiceCore) -> None:
         self._host = host
 
     def freeze(self, slot: Slot, place: Place, effect: Freeze) -> StoodStill | None:
@@ -157,7 +160,7 @@ class Mover:
         host: the service.
     """
 
-    def __init__(self, host: HostingService) -> None:
+    def __init__(self, host: ClientServiceCore) -> None:
         self._host = host
         self._broken_off: list[tuple[Record, MigrationReport]] = []  # by the end of this service's predecessor
         self._watched: list[str] = []

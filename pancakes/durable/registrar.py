@@ -367,7 +367,6 @@ class Registrar(ActorCore):
             entry.memory = entry.before._replace(permit=min(had, entry.before.permit))  # ... and nothing has before
             if entry.memory.permit != had:
                 self.leases.permit_changed(entry, had)
-            entry.trouble = written.why_not
             if feed is not None and fed is not None and _is_tried_again(feed.event):
                 entry.again = fed
                 entry.outcomes.append((feed.token, Outcome.DELAYED, written.why_not))
@@ -376,7 +375,7 @@ class Registrar(ActorCore):
                 entry.outcomes.append((feed.token, Outcome.FAILED, written.why_not))
             self._go_on(entry)
             return
-        before, entry.record, entry.trouble = entry.record, record, ""
+        before, entry.record = entry.record, record
         if (before.epoch, before.owned) != (record.epoch, record.owned):
             stays = record.owned or record.removed
             kept = [it for it in entry.waits if stays and it[0][0] == record.epoch]

@@ -8,14 +8,14 @@ hangs on anything here.
 from __future__ import annotations
 
 from functools import partial
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
 
 from pancakes.control import Checkpoints, Guarding, Refusal, Take
 from pancakes.durable import messages, rules
 from pancakes.durable.bidding_messages import MIGRATOR, AttemptOver, BidAwarded, HasMoved, MoveOver, Negotiate
-from pancakes.durable.entry import Entry, Fed, Registering, right_of
+from pancakes.durable.entry import Entry, Fed, right_of
 from pancakes.durable.messages import REGISTRAR, Fact, Solicit, WhoHas, is_for
 from pancakes.durable.origins import Origins
 from pancakes.durable.peer_talk import LastSaid
@@ -29,6 +29,9 @@ from pancakes.kernel.timer import OneShot
 from pancakes.migration import CostChoice, GuardRule, MigrationRule, is_of_core
 from pancakes.packet import Packet, agent_of, join
 from pancakes.supervision.messages import AskedOfGuardian, GuardianAnswers
+
+if TYPE_CHECKING:
+    from pancakes.durable.registrar import Registrar
 
 GUARDIAN: Final = "guardian"
 IN_DOUBT: Final = "in doubt"
@@ -89,7 +92,7 @@ class Takeovers:
         registrar: the registrar.
     """
 
-    def __init__(self, registrar: Registering) -> None:
+    def __init__(self, registrar: Registrar) -> None:
         self._registrar = registrar
         self._orphans: dict[TaskId, _Orphan] = {}
         self._asks = 0
