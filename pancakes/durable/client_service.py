@@ -513,8 +513,12 @@ class ClientServiceCore(ServiceCore):
     # What is asked of it ---------------------------------------------------------------------------------------
 
     def carry_out_command(self, body: Any, slot: Slot | None, request: Request) -> None:
-        if isinstance(body, control.Adopt | control.Forget | control.Revive):
-            self._recoveries.carry_out(body, request)
+        if isinstance(body, control.Adopt):
+            self._recoveries.adopt(body, request)
+        elif isinstance(body, control.Forget):
+            self._recoveries.forget(body, request)
+        elif isinstance(body, control.Revive):
+            self._recoveries.revive(body, request)
         elif isinstance(body, Create):
             self._creations.create(body, request)
         elif slot is None:

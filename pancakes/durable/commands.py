@@ -133,20 +133,6 @@ class Recoveries:
             if lost.task_id.name == name and self._records.decider_of(lost) == self._host.name
         ]
 
-    def carry_out(self, body: Adopt | Forget | Revive, request: Request) -> None:
-        """Carries out what a person has decided.
-
-        Raises:
-            ControlRefusedError: it cannot be done; the sentence says why.
-        """
-        match body:
-            case Adopt():
-                self.adopt(body, request)
-            case Forget():
-                self.forget(body, request)
-            case Revive():
-                self.revive(body, request)
-
     def adopt(self, body: Adopt, request: Request) -> None:
         """Runs a task here, on a person's word.
 
@@ -154,10 +140,11 @@ class Recoveries:
             ControlRefusedError: it is not in doubt, or the other agent is there.
         """
         host = self._host
-        copied = [it for it in self._disputes.copied.undecided(body.target) if body.birthplace in ("", it.task_id[0])]
-        if copied:
-            self._adopt_copied(copied[0], body, request)
-            return
+        for place in self._disputes.copied.undecided(body.target):
+            if body.birthplace in ("", place.task_id.birthplace):
+                record, why = place.record, f"{request.by} says that it runs nowhere else"
+                self._run_here(place.task_id, record.snapshot, record.seen.n, "", why, body.dry_run, request)
+                return
         known, lost = self._known(body.target), self._lost(body.target)
         lost += self._disputes.births.undecided(body.target)
         chosen = task_meant(host.address, body.target, body.birthplace, known, lost)
@@ -173,14 +160,6 @@ class Recoveries:
             self._run_here(chosen.task_id, chosen.snapshot, seen_n, peer, why, body.dry_run, request)
         else:
             self._adopt_doubtful(chosen, body, request)
-
-    def _adopt_copied(self, place: Place, body: Adopt, request: Request) -> None:
-        host, task_id = self._host, place.task_id
-        if not body.dry_run:
-            self._tell_asked("adopt", task_id, request)
-            host.log("warning", f"{task_id} goes on on {host.agent}, from an old copy, as {request.by} asked")
-            self._disputes.copied.decide(place)
-        host.reply(request, result={"task_id": str(task_id), "peer": ""})
 
     def _adopt_doubtful(self, record: Record, body: Adopt, request: Request) -> None:
         host, task_id, peer = self._host, record.task_id, record.peer
@@ -273,7 +252,7 @@ class Recoveries:
             return
         place = self._place(task_id)
         reason = f"{task_id} was adopted on {host.agent}, as {request.by} asked, because {why}"
-        self._tell_asked("adopt", task_id, request)
+        self._host.tell_asked("adopt", task_id.name, request)
         host.log("warning", reason)
         place.recovery = Recovery(request, peer, reason, self._mover.sequel_of(place.record).ledger)
         host.look_after(place, request)
@@ -354,7 +333,7 @@ class Recoveries:
 
     def _leave(self, place: Place, epoch: Epoch, request: Request) -> None:
         """Write down that a task is not here; what was here of it is gone."""
-        self._tell_asked("forget", place.task_id, request)
+        self._host.tell_asked("forget", place.task_id.name, request)
         place.recovery = Recovery(request, "", "", None)
         self._host.look_after(place, request)
         leave = Leave(Register(epoch))
@@ -385,10 +364,6 @@ class Recoveries:
                 f"{task_id} has just been decided about, and that is not written down yet", "busy"
             )
         return place
-
-    def _tell_asked(self, what: str, task_id: TaskId, request: Request) -> None:
-        host = self._host
-        host.event("asked", what=what, task=task_id.name, service=host.name, by=request.by, number=request.number)
 
 
 Described = Callable[[str, Mapping[str, Any]], TaskSpec]
@@ -444,7 +419,8 @@ class Creations:
             return
         self._refuse_known(task_id)
         spec = self._spec(body)
-        asked = Creation(request, spec, self._first_snapshot(spec, task_id), body.dry_run)
+        snapshot = snapshot_of(spec, task_id, host.name, None).encode()
+        asked = Creation(request, spec, snapshot, body.dry_run)
         self._refuse_unfit(task_id, asked)
         self._unreserve(task_id)  # until the others have answered
         self._disputes.questions.inquire(task_id, spec.type, partial(self._asked, task_id, asked))
@@ -460,10 +436,6 @@ class Creations:
         if body.rate_hz is not None:
             table["rate_hz"] = body.rate_hz
         return self._described(body.target, table)
-
-    def _first_snapshot(self, spec: TaskSpec, task_id: TaskId) -> bytes:
-        host = self._host
-        return snapshot_of(spec, task_id, host.name, None).encode()
 
     def _refuse_known(self, task_id: TaskId) -> None:
         """Raises `ControlRefusedError` where there is such a task here, or is about to be."""
@@ -514,7 +486,7 @@ class Creations:
             self._unreserve(task_id)
             host.reply(asked.request, result=_result(task_id, seen + jump, silent))
             return
-        self._tell_asked("create", task_id, asked.request)
+        self._host.tell_asked("create", task_id.name, asked.request)
         if silent:
             host.log("warning", f"{task_id} is created, although nothing was heard of it from {', '.join(silent)}")
         place = host.places[task_id]
@@ -586,7 +558,7 @@ class Creations:
         if body.dry_run:
             host.reply(request, result={"task_id": str(place.task_id)})
             return
-        self._tell_asked("remove", place.task_id, request)
+        self._host.tell_asked("remove", place.task_id.name, request)
         place.removal, place.course = request, replace(place.course, removing=True)
         host.look_after(place, request)
         if place.record.guarded:
@@ -677,10 +649,6 @@ class Creations:
     def _account(self, task_id: TaskId, request: Request, outcome: Literal["created", "removed"], winner: str) -> None:
         account = MigrationReport(str(task_id), self._host.agent, request.by, "", outcome, winner, (), 0.0)
         self._ledgers.add(account, "", self._host.kernel.mission.now())
-
-    def _tell_asked(self, what: str, task_id: TaskId, request: Request) -> None:
-        host = self._host
-        host.event("asked", what=what, task=task_id.name, service=host.name, by=request.by, number=request.number)
 
 
 def _result(task_id: TaskId, epoch_n: int, silent: Sequence[str]) -> dict[str, Any]:

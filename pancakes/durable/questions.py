@@ -484,7 +484,6 @@ class CopiedTasks:
         self._sayers: set[str] = set()
         self._believed: set[tuple[str, TaskId]] = set()
         self._copied: set[TaskId] = set()  # what came later is no copy
-        self._decided: set[TaskId] = set()  # by a person
 
     def noticed(self, peer: str) -> None:
         """Another agent takes the disk for an old copy."""
@@ -536,14 +535,9 @@ class CopiedTasks:
         waiting = [place for place in self._waiting() if place.task_id.name == name]
         return [place for place in waiting if place.record.owned or place.record.goes_on]
 
-    def is_decided(self, place: Place) -> bool:
-        """Return whether a person has said that a task is to go on here."""
-        return place.task_id in self._decided
-
-    def decide(self, place: Place) -> None:
-        """A person says that a task is to go on here."""
-        self._decided.add(place.task_id)
-        self._retry(place)
+    def became_owner(self, place: Place) -> None:
+        """This agent owns a task under an epoch that the copy does not have."""
+        self._copied.discard(place.task_id)
 
     def _waiting(self) -> list[Place]:
         return [it for it in self._host.places.values() if self._verdict(it).verdict is Verdict.WAITS]
@@ -551,7 +545,7 @@ class CopiedTasks:
     def _verdict(self, place: Place) -> Finding:
         record = place.record
         is_here = record.here or record.goes_on
-        if not is_here or place.task_id not in self._copied or place.task_id in self._decided:
+        if not is_here or place.task_id not in self._copied:
             return Finding(Verdict.GOES_ON)
         sayers = [peer for peer in self._sayers if self._is_believed(peer, place)]
         told = self._questions.about(place.task_id, place)
@@ -644,8 +638,6 @@ class Disputes:
             place: its place.
             starts: whether it is about to start; otherwise it is only looked at.
         """
-        if self.copied.is_decided(place):
-            return None
         return self.copied.of(place) or self._owned_elsewhere(place, starts) or self.births.of(slot, place, starts)
 
     def _owned_elsewhere(self, place: Place, starts: bool) -> Unsure | None:
@@ -693,6 +685,7 @@ class Disputes:
 
     def became_owner(self, place: Place) -> None:
         """This agent owns a task from now on, or under another epoch."""
+        self.copied.became_owner(place)
         other = place.other
         if other is not None and other.epoch < place.record.epoch:
             place.other = None  # it owned the task before
