@@ -32,9 +32,10 @@ from pancakes.durable.host_state import IMPORTER, HostState, Importer, describe_
 from pancakes.durable.installed import Installed
 from pancakes.durable.messages import REGISTRAR
 from pancakes.durable.questions import BirthRule
+from pancakes.durable.quotas import kept_of_peers
 from pancakes.durable.record import resting
 from pancakes.durable.register import Identity as Owner
-from pancakes.durable.registrar import Registrar, kept_of_peers
+from pancakes.durable.registrar import Registrar
 from pancakes.durable.store import RECORD, MigrationReports, Records
 from pancakes.errors import PancakesError, describe, traceback_of
 from pancakes.events import Event

@@ -197,18 +197,11 @@ class Answers:
         self._say_so: set[str] = set()  # the agents that take this one's disk for an old copy
         self._unbelieved = LastSaid()
 
-    def heard(self, message: Any) -> bool:
-        """Take what the agent says; return whether it is for this."""
-        match message:
-            case NeighbourUp():
-                self._meet(message.peer, message.boot)
-            case NetworkBegan():
-                for hello in self._mesh.connected().values():
-                    if hello.role == "agent":
-                        self._meet(hello.name, Boot(hello.journal, hello.boot, hello.life))
-            case _:
-                return False
-        return True
+    def network_began(self) -> None:
+        """Packets can go to other agents from now on."""
+        for hello in self._mesh.connected().values():
+            if hello.role == "agent":
+                self.met(hello.name, Boot(hello.journal, hello.boot, hello.life))
 
     def tell_all(self, service: Reference) -> None:
         """Tell a service that has begun what other agents claim."""
@@ -268,7 +261,8 @@ class Answers:
                 asked = tuple(task_ids[first : first + MOST_ASKED])
                 self._registrar.talk.tell(peer, REGISTRAR, WhoHas(asked))
 
-    def _meet(self, peer: str, boot: Boot) -> None:
+    def met(self, peer: str, boot: Boot) -> None:
+        """A link to another agent stands: it is told what this one owns."""
         entries = [it for it in self._registrar.entries.values() if it.record.owned]
         self.say(peer, entries)
         later = self._boots.met(peer, boot)

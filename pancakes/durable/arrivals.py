@@ -167,14 +167,14 @@ class Arrivals:
         place.unsure = SURE
         if lost := self._lost(place):
             registry.unreserve(slot.address)
-            return Room(asked, lost, for_good=True)
+            return Room(lost, for_good=True)
         if unsure := self._disputes.unsure(slot, place):
             place.unsure = unsure
             if unsure.for_good:
                 registry.unreserve(slot.address)
             else:  # no other task takes them from it while it waits
                 registry.reserve(slot.address, slot.spec.cls.requires)
-            return Room(asked, unsure.why, for_good=unsure.for_good, waits=not unsure.for_good)
+            return Room(unsure.why, for_good=unsure.for_good, waits=not unsure.for_good)
         reason = self._host.admit(slot)
         if not reason and record.snapshot and slot.carried is None and not slot.fresh:
             try:
@@ -184,7 +184,7 @@ class Arrivals:
         if not reason and asked.keep:
             reason = registry.reserve(slot.address, slot.spec.cls.requires)
         if reason:
-            return Room(asked, reason)
+            return Room(reason)
         if slot.fresh:
             slot.fresh = False
             self._host.drop_state(slot)
@@ -192,7 +192,7 @@ class Arrivals:
         if not snapshot and record.may_begin:
             snapshot = self._host.snapshot(slot, None)
         other = place.other
-        return Room(asked, snapshot=snapshot, floor=other.epoch if other is not None else NO_EPOCH)
+        return Room(snapshot=snapshot, floor=other.epoch if other is not None else NO_EPOCH)
 
     def _unreadable(self, slot: Slot, error: MigrationError) -> str:
         return (

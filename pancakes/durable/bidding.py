@@ -19,7 +19,6 @@ from pancakes.durable.bidding_messages import (
     MIGRATOR,
     AttemptOver,
     BidAwarded,
-    BrokenOff,
     HasMoved,
     MigratorBegan,
     MoveOver,
@@ -177,8 +176,6 @@ class TaskMigrator(TaskCore, Task):
                 self._attempt_over(message)
             case HasMoved():
                 self._moved(message)
-            case BrokenOff():
-                self._account(message.service, message.task_id, message.ledger, message.reason, message.reason)
             case ServiceBegan():
                 self._service_began(message.service)
             case Appraised():
@@ -332,28 +329,26 @@ class TaskMigrator(TaskCore, Task):
                 del self._holding[body.task_id]
                 tell(found[1], BidAwarded(body.task_id, body.by, holding[1]))
             return
-        self._answered(
-            packet, lambda negotiation, bid, now_s: negotiation.bid(agent_of(packet.source), bid.cost, bid.terms, now_s)
-        )
+        if (negotiation := self._asking(packet)) is not None:
+            now_s = self.kernel.host.now()
+            self._conclude(body.task_id, negotiation.bid(peer, body.cost, body.terms, now_s))
 
     @on(NETWORK, Refuse, queue=KEEP, addressed=True)
     def on_refuse(self, packet: Packet) -> None:
         """A neighbour cannot take the task."""
-        holding = self._holding.get(packet.body.task_id)
-        if holding is not None and holding[0] == agent_of(packet.source):
-            self._hold_failed(packet.body.task_id, packet.body.refusal)
-            return
-        self._answered(
-            packet,
-            lambda negotiation, refuse, now_s: negotiation.refuse(agent_of(packet.source), refuse.refusal, now_s),
-        )
+        body, peer = packet.body, agent_of(packet.source)
+        holding = self._holding.get(body.task_id)
+        if holding is not None and holding[0] == peer:
+            self._hold_failed(body.task_id, body.refusal)
+        elif (negotiation := self._asking(packet)) is not None:
+            self._conclude(body.task_id, negotiation.refuse(peer, body.refusal, self.kernel.host.now()))
 
-    def _answered(self, packet: Packet, take: Callable[[Negotiation, Any, float], Outcome | None]) -> None:
-        if not is_for(packet.body, self._talk.me.journal):
-            return
+    def _asking(self, packet: Packet) -> Negotiation | None:
+        """Return the negotiation that an answer is for; None: it is over, or the answer is for another disk."""
         found = self._negotiations.get(packet.body.task_id)
-        if found is not None and found[0].request.ask == packet.body.ask:
-            self._conclude(packet.body.task_id, take(found[0], packet.body, self.kernel.host.now()))
+        if found is None or not is_for(packet.body, self._talk.me.journal):
+            return None
+        return found[0] if found[0].request.ask == packet.body.ask else None
 
     # Being asked -----------------------------------------------------------------------------------------------
 

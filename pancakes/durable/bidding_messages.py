@@ -115,22 +115,6 @@ class HasMoved(msgspec.Struct, frozen=True):
     note: str
 
 
-class BrokenOff(msgspec.Struct, frozen=True):
-    """A move is over that the end of a service has broken off.
-
-    Attributes:
-        service: its successor.
-        task_id: the task.
-        ledger: the account.
-        reason: why.
-    """
-
-    service: Reference
-    task_id: TaskId
-    ledger: MigrationReport
-    reason: str
-
-
 class ServiceBegan(msgspec.Struct, frozen=True):
     """A service has started anew, and knows of no move that its predecessor asked for.
 

@@ -164,7 +164,7 @@ class ClientServiceCore(ServiceCore):
         # A tombstone has no slot, and answers all the same.
         for place in list(self.places.values()):
             if place.slot is None:
-                self.feed_place(place, reconcile.TakeUp())
+                self.feed_place(place, reconcile.ServiceBegan())
         self.kernel.tell(REGISTRAR, HostBegan(self))
         for place in list(self.places.values()):
             self.guard(place)
@@ -183,7 +183,7 @@ class ClientServiceCore(ServiceCore):
         slot.fresh = kept is None
 
     def start_configured(self, slot: Slot) -> None:
-        self.feed_place(self.places.at[slot.name], reconcile.StartConfigured(slot.fresh))
+        self.feed_place(self.places.at[slot.name], reconcile.ServiceBegan(slot.fresh))
 
     def settle_all(self) -> None:
         # The last checkpoint of each task may wait for the one before it to be written.

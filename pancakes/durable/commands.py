@@ -22,7 +22,7 @@ from pancakes.durable.messages import Fact
 from pancakes.durable.migration import Mover
 from pancakes.durable.questions import Disputes
 from pancakes.durable.reconcile import Outcome, Removed
-from pancakes.durable.record import Lost, Record, TaskId, dispute_of
+from pancakes.durable.record import Lost, Record, TaskId, dispute_of, why_not_here
 from pancakes.durable.register import MORE_THAN_MIGRATIONS, NO_EPOCH, NOBODY, Epoch, Register, Standing, Wanted
 from pancakes.durable.rules import Begin, Desired, Force, Leave, Want
 from pancakes.durable.snapshot import Snapshot
@@ -83,24 +83,7 @@ def task_meant(
         raise ControlRefusedError(
             f"{service} knows of no task {name!r}" + (f" of {birthplace}" if birthplace else ""), "not_found"
         )
-    stands = " and ".join(f"{record.task_id} is {_standing(record)}" for record in meant)
-    raise ControlRefusedError(f"there is nothing to {verb}: {stands}")
-
-
-def _standing(record: Record) -> str:
-    if record.removed:
-        return "removed"
-    match record.standing:
-        case Standing.DISPUTED:
-            return "here, and owned by another agent too"
-        case Standing.OWNER:
-            return "here already"
-        case Standing.OFFERED:
-            return "here, and about to be handed over"
-        case Standing.YIELDED | Standing.HEIR:
-            return f"in doubt between this agent and {record.peer}, so decide or wait"
-        case _:
-            return f"with {record.peer}, which has said so" if record.peer else "not here"
+    raise ControlRefusedError(f"there is nothing to {verb}: {' and '.join(map(why_not_here, meant))}")
 
 
 class Recoveries:

@@ -79,6 +79,8 @@ class Leases:
             self._begin(entry)
         held = entry.held
         assert held is not None
+        for one in record.members:
+            held.heard_s.setdefault(one, self._now_s)
         if record.register.clockless:
             permits.free(str(record.task_id))
         elif permits.begin(right_of(record)):
@@ -189,8 +191,6 @@ class Leases:
         held.told = record.register.stamp
         is_slow = record.removed and entry.counted >= record.register.stamp  # the rest is told when it is back
         held.renewal.set(REPLACED_S if is_slow else record.lease_s / RENEWED)
-        for one in record.members:
-            held.heard_s.setdefault(one, self._now_s)
         self._registrar.feed(entry, Fed(rules.Beat(held.beat)))
 
     def state_for(self, entry: Entry, receiver: Identity, register: Register, beat: int) -> tuple[bytes | None, float]:
@@ -344,11 +344,8 @@ class Leases:
             self._registrar.feed(entry, Fed(rules.SetMembers(chosen)))
 
     def _silent(self, entry: Entry, held: Held, since_s: float) -> list[Identity]:
-        now_s = self._now_s
-        for one in entry.record.members:
-            held.heard_s.setdefault(one, now_s)
         others = [one for one in entry.record.members if one != self._registrar.me]
-        return [one for one in others if now_s - held.heard_s[one] >= since_s]
+        return [one for one in others if self._now_s - held.heard_s.get(one, self._now_s) >= since_s]
 
     # For people ------------------------------------------------------------------------------------------------
 
@@ -357,8 +354,6 @@ class Leases:
         if held.rule is None and not record.guarded:
             self._registrar.kernel.guard_notes.drop(self._address(record))
             return
-        for one in record.members:
-            held.heard_s.setdefault(one, now_s)
         held.as_of_s.setdefault(record.register.no, now_s)
         while len(held.as_of_s) > REMEMBERED:
             del held.as_of_s[next(iter(held.as_of_s))]

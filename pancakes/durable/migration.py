@@ -15,7 +15,6 @@ from pancakes.durable.bidding_messages import (
     MIGRATOR,
     AttemptOver,
     BidAwarded,
-    BrokenOff,
     HasMoved,
     MoveOver,
     Negotiate,
@@ -172,7 +171,8 @@ class Mover:
             reason = f"{self._host.address} was started again before {ledger.winner} had the task"
             stayed = ledger.stayed(str(record.epoch), reason)
             self._host.kernel.tell(REGISTRAR, Concluded(record.task_id))
-            self._host.kernel.tell(MIGRATOR, BrokenOff(self._host, record.task_id, stayed, reason))
+            over = AttemptOver(self._host, record.task_id, "", Refusal("conflict", reason), stayed)
+            self._host.kernel.tell(MIGRATOR, over)
         self._host.kernel.tell(MIGRATOR, ServiceBegan(self._host))
 
     def found(self, record: Record) -> None:

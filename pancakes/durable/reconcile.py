@@ -212,8 +212,8 @@ class Came(msgspec.Struct, frozen=True):
     outcomes: tuple[tuple[Write, Outcome, str], ...] = ()
 
 
-class StartConfigured(msgspec.Struct, frozen=True):
-    """Its service begins, and starts it, if it is here.
+class ServiceBegan(msgspec.Struct, frozen=True):
+    """Its service begins, and starts it if it is here and has a place.
 
     Attributes:
         fresh: whether it is to begin as the configuration says, whatever its record says.
@@ -226,15 +226,10 @@ class StartWanted(msgspec.Struct, frozen=True):
     """It is to run because another task has left; if its actuators are not free yet, it waits for them."""
 
 
-class TakeUp(msgspec.Struct, frozen=True):
-    """Its service begins, and it has no place there: only its record is left."""
-
-
 class Room(msgspec.Struct, frozen=True):
     """The answer to `AskRoom`.
 
     Attributes:
-        asked: what this answers.
         reason: why it cannot run here now; empty: it can.
         for_good: whether to try again is no use.
         waits: whether it waits for what other agents know, and its actuators are kept for it meanwhile.
@@ -242,7 +237,6 @@ class Room(msgspec.Struct, frozen=True):
         floor: the highest epoch that any other agent knows of it, if it begins now.
     """
 
-    asked: AskRoom
     reason: str = ""
     for_good: bool = False
     waits: bool = False
@@ -346,9 +340,8 @@ class PartConcluded(msgspec.Struct, frozen=True):
 
 Event = (
     Came
-    | StartConfigured
+    | ServiceBegan
     | StartWanted
-    | TakeUp
     | Room
     | PlaceFree
     | NoPlace
@@ -643,39 +636,26 @@ def _grant(step: Step) -> None:
         step.live(lifecycle.PutOff(f"{step.record.task_id} waits for its guardians"))
 
 
-def _start_configured(step: Step, event: StartConfigured) -> None:
-    record = step.record
-    if record.standing is Standing.RELEASED and record.sequel:
+def _service_began(step: Step, event: ServiceBegan) -> None:
+    record, has_place = step.record, step.life is not None
+    if record.standing is Standing.OFFERED:
+        step.write(Write.GIVE_UP, rules.GiveUp())  # the end of the service before has broken it off
+    elif record.standing is Standing.RELEASED and record.sequel:
         _handed_over(step)
+    elif record.in_doubt:
+        step.do(After(TIMES.warn_s, InDoubt(record.standing, record.seen)))
+    rests = record.owned or (record.goes_on and record.wanted is not Wanted.RUNNING)
+    if has_place and _may_start(step) and (event.fresh or not rests):
+        step.live(lifecycle.StartAsked())
+        return
+    step.change(starts=record.owned and record.wanted is Wanted.RUNNING)
+    if has_place and not (record.owned and step.course.desired is Desired.RUN):
         step.do(lifecycle.Settle())
-    elif not record.owned or event.fresh:
-        rests = record.goes_on and record.wanted is not Wanted.RUNNING and not event.fresh
-        if _may_start(step) and not rests:
-            step.live(lifecycle.StartAsked())
-        else:
-            step.do(lifecycle.Settle())
-    else:
-        step.change(starts=record.wanted is Wanted.RUNNING)
-        if record.standing is Standing.OFFERED:
-            step.write(Write.GIVE_UP, rules.GiveUp())  # the end of the service before has broken it off
-        if step.course.desired is not Desired.RUN:
-            step.do(lifecycle.Settle())
 
 
 def _start_wanted(step: Step, event: StartWanted) -> None:
     step.wanted = True
     step.live(lifecycle.StartAsked())
-
-
-def _take_up(step: Step, event: TakeUp) -> None:
-    record = step.record
-    step.change(starts=record.owned and record.wanted is Wanted.RUNNING)
-    if record.standing is Standing.OFFERED:
-        step.write(Write.GIVE_UP, rules.GiveUp())
-    if record.standing is Standing.RELEASED and record.sequel:
-        _handed_over(step)
-    elif record.in_doubt:
-        step.do(After(TIMES.warn_s, InDoubt(record.standing, record.seen)))
 
 
 def _place_free(step: Step, event: PlaceFree) -> None:
@@ -1018,9 +998,8 @@ OUTCOMES: Final[Mapping[Write, Callable[[Step, Outcome, str], None]]] = {
 
 RULES: Final[Mapping[type, Rule]] = {
     Came: _came,
-    StartConfigured: _start_configured,
+    ServiceBegan: _service_began,
     StartWanted: _start_wanted,
-    TakeUp: _take_up,
     Room: _room,
     PlaceFree: _place_free,
     NoPlace: _no_place,

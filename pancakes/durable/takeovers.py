@@ -65,7 +65,6 @@ class _Orphan(msgspec.Struct):
         sets: the newest members that any of them knows, and under which write.
         over: the members that say that no lease runs there either.
         negotiating_s: since when, in host time; None: bids are not compared now.
-        called: the agent that was called to take it.
         asked: what a person has asked for that waits for an answer; None: nothing.
         told: whether people were told that it waits for a person.
         timer: what comes next.
@@ -79,7 +78,6 @@ class _Orphan(msgspec.Struct):
     sets: Sets
     over: set[Identity] = set()
     negotiating_s: float | None = None
-    called: str = ""
     asked: AskedOfGuardian | None = None
     told: bool = False
     timer: OneShot | None = None
@@ -99,17 +97,6 @@ class Takeovers:
         self._called = 0
         self._unbelieved = LastSaid()
         self.origins = Origins(registrar, registrar.records, registrar.talk.neighbours)
-
-    def heard(self, message: Any) -> bool:
-        """Take what the Task Migrator tells; return whether it is for this."""
-        match message:
-            case BidAwarded():
-                self._awarded(message)
-            case MoveOver():
-                self._over(message)
-            case _:
-                return False
-        return True
 
     # Leases that are granted here ------------------------------------------------------------------------------
 
@@ -137,7 +124,7 @@ class Takeovers:
         age_s = None if entry.from_disk else max(0.0, entry.heard_s - entry.as_of_s)
         held = (register.summary(), age_s)
         orphan = _Orphan(snapshot, found.guard, found.move, held, record.seen, register.sets)
-        self._orphans[task_id] = orphan
+        self._orphans[task_id], entry.called = orphan, ""
         self._later(task_id, orphan, wait_s + RANK_S * members.index(me))
 
     def lease_runs(self, entry: Entry, epoch: Epoch) -> None:
@@ -152,7 +139,7 @@ class Takeovers:
         self._answer(orphan, "", {"task_id": str(task_id), "winner": winner, **loss})
         if orphan.negotiating_s is None:
             return
-        if winner == orphan.called:
+        if winner == entry.called:
             registrar.log("warning", f"{task_id} runs on {winner}, {self._cause(entry, orphan)}")
             owner = orphan.held[0].owner.agent
             registrar.event("taken_over", task=task_id.name, by=winner, source_agent=owner, **loss)
@@ -282,7 +269,7 @@ class Takeovers:
             self._registrar.log("warning", f"bidders for {snapshot.task_id} are told nothing of it: {error}")
             return b""
 
-    def _awarded(self, awarded: BidAwarded) -> None:
+    def awarded(self, awarded: BidAwarded) -> None:
         """The bids are compared: calls the agent that made the lowest."""
         registrar, task_id = self._registrar, awarded.task_id
         orphan, entry = self._orphans.get(task_id), self._registrar.entries.get(awarded.task_id)
@@ -290,7 +277,7 @@ class Takeovers:
             back = Refusal("conflict", "its owner is back")
             registrar.kernel.tell(MIGRATOR, AttemptOver(registrar, task_id, "", back, None))
             return
-        orphan.called = entry.called = awarded.peer
+        entry.called = awarded.peer
         call = messages.Call(
             task_id, entry.record.type, orphan.snapshot.service, orphan.floor, orphan.sets, self._silent_s(entry)
         )
@@ -298,19 +285,20 @@ class Takeovers:
             self._begin(entry, registrar.agent, call)
         else:
             registrar.talk.say(awarded.peer, REGISTRAR, call)
-        registrar.after_host(CALLED_S, partial(self._look_at_called, task_id, orphan, awarded.peer))
+        registrar.after_host(CALLED_S, partial(self._look_at_called, entry, orphan, awarded.peer))
 
-    def _look_at_called(self, task_id: TaskId, orphan: _Orphan, peer: str) -> None:
-        if self._orphans.get(task_id) is orphan and orphan.called == peer:
+    def _look_at_called(self, entry: Entry, orphan: _Orphan, peer: str) -> None:
+        task_id = entry.record.task_id
+        if self._orphans.get(task_id) is orphan and entry.called == peer:
             silent = Refusal("unable", f"did not take it within {CALLED_S:g} s")
             self._registrar.kernel.tell(MIGRATOR, AttemptOver(self._registrar, task_id, peer, silent, None))
 
-    def _over(self, over: MoveOver) -> None:
+    def over(self, over: MoveOver) -> None:
         """The negotiation is over, one way or the other."""
         orphan, entry = self._orphans.get(over.task_id), self._registrar.entries.get(over.task_id)
         if orphan is None or entry is None:
             return
-        orphan.negotiating_s, orphan.called, entry.called = None, "", ""
+        orphan.negotiating_s, entry.called = None, ""
         if orphan.asked is not None:
             self._answer(orphan, over.reason, {**over.result, **self._loss(entry, orphan)} if over.result else None)
             return
@@ -355,7 +343,8 @@ class Takeovers:
         registrar = self._registrar
         if entry.memory.taking != NO_EPOCH:
             return
-        registrar.host(entry, call.service)
+        if not entry.record.service:
+            entry.record = msgspec.structs.replace(entry.record, service=call.service)
         self._called += 1
         registrar.event("task_called", task=call.task_id.name, silent_s=call.silent_s)
         registrar.feed(entry, Fed(rules.Call(call.floor, call.sets), peer))
@@ -467,19 +456,15 @@ class Takeovers:
             "lease_left_s": max(0.0, entry.alarm.due_s - now_s) if entry.lease.beat else None,
             "wanted": record.snapshot != b"" and record.wanted is Wanted.RUNNING,
         }
-        if not record.owned or not record.snapshot:
-            return row
-        try:
-            snapshot = Snapshot.decode(record.snapshot)
-        except MigrationError:  # where the task is started, that is said
+        if not record.owned or entry.held is None:
             return row
         permits = registrar.kernel.permits
-        address = join(registrar.agent, snapshot.service, record.task_id.name)
+        address = join(registrar.agent, record.service, record.task_id.name)
         permit_s = permits.left_s(right_of(record))
         return {
             **row,
             "guardians": [member.agent for member in record.members],
-            "guard": snapshot.guard["copies"] if snapshot.guard is not None else 1,
+            "guard": entry.held.number,
             "permit_s": permit_s if permit_s is not None else record.lease_s,
             "held_back": permits.held_back(str(record.task_id)),
             "clock_steps": permits.steps(str(record.task_id)),
@@ -498,9 +483,7 @@ class Takeovers:
         record, now_s = entry.record, self._registrar.kernel.host.now()
         task_id = record.task_id
         is_meant = asked.task in ("", task_id.name) and asked.birthplace in ("", task_id.birthplace)
-        if not is_meant or not record.snapshot or not (record.in_doubt or record.members):
-            return {}
-        if not record.in_doubt and not record.guarded:
+        if not is_meant or not record.snapshot or not (record.in_doubt or record.guarded):
             return {}
         try:
             snapshot = Snapshot.decode(record.snapshot)

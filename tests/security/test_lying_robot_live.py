@@ -34,7 +34,7 @@ from pancakes.durable.messages import (
 )
 from pancakes.durable.record import TaskId
 from pancakes.durable.register import NO_EPOCH, NOBODY, Epoch, Identity, Register, Standing, Wanted
-from pancakes.durable.registrar import MOST_OFFERED
+from pancakes.durable.quotas import MOST_OFFERED
 from pancakes.durable.snapshot import Snapshot
 from pancakes.mesh.codec import encode_packet
 from pancakes.packet import Packet, packet_type, task_address

@@ -177,10 +177,10 @@ class Joined:
 
     def _reconcile_AskRoom(self, world: World, effect: Any, waiting: deque[Any]) -> World:
         if world.has("spawns") >= self._bounds.spawns:
-            waiting.append(reconcile.Room(effect, "it lacks something"))
+            waiting.append(reconcile.Room("it lacks something"))
         else:
             may_begin = world.course.record.may_begin
-            waiting.append(reconcile.Room(effect, snapshot=world.carried or (BIRTH if may_begin else b"")))
+            waiting.append(reconcile.Room(snapshot=world.carried or (BIRTH if may_begin else b"")))
         return world
 
     def _reconcile_OpenPlace(self, world: World, effect: Any, waiting: deque[Any]) -> World:
@@ -534,7 +534,7 @@ class Joined:
         course = Course(record, desired(A, register, Memory()))
         world = World(self._life(), course, register, memory, sequel, spent=spent, settled=False)
         wanted = record.may_begin or not record.owned or record.wanted is Wanted.RUNNING
-        world = self.feed(world, reconcile.StartConfigured()) if wanted else world
+        world = self.feed(world, reconcile.ServiceBegan()) if wanted else world
         return self.came(world)
 
     def first(self) -> Iterator[tuple[str, World]]:
