@@ -234,9 +234,13 @@ class Arrivals:
         slot.carried = replace(carried_of(snapshot), settings=self._settings_now(slot, snapshot))
         slot.fence = Fence(str(place.task_id), (record.epoch.n, record.epoch.minter.agent))
         kernel = self._host.kernel
-        self._host.outbox.arrive(place.task_id, snapshot.posted, fresh, kernel.host.now(), kernel.restamped)
-        if snapshot.posted is not None:
-            self._host.kernel.tell(COURIER, SendUnsent())
+        posted = snapshot.posted
+        if posted is not None:
+            # What it sent from another agent goes on from here under its address here, as no agent takes it otherwise,
+            # and with stamps of the mission time here.
+            posted = posted.of_agent(self._host.agent, kernel.restamped)
+            kernel.tell(COURIER, SendUnsent())
+        self._host.outbox.arrive(str(place.task_id), posted, fresh, kernel.host.now())
         if place.came_from:
             place.ask_again_s = self._host.kernel.host.now() + SETTLE_S
             state = in_brief(snapshot.state)

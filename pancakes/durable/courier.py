@@ -1,17 +1,12 @@
 """Sends and receives packets that are addressed to a task (`to="task:BIRTHPLACE/NAME"`).
 
-The courier belongs to no service, because packets between tasks of one agent need no network. `SharedOutbox` holds
-what is not acknowledged yet: publishers fill it in their own threads, and the courier empties it. The rules are in
-`delivery`.
+The courier belongs to no service, because packets between tasks of one agent need no network. The rules are in
+`delivery`, with the outbox that holds what is not acknowledged yet.
 """
 
 from __future__ import annotations
 
-import threading
-from collections.abc import Callable, Iterable, Sequence
 from typing import Any, Final
-
-from msgspec.structs import replace
 
 from pancakes.durable.answers import fact_of
 from pancakes.durable.courier_messages import COURIER, AskedBegan, CameFor, Say, SendUnsent
@@ -21,164 +16,28 @@ from pancakes.durable.delivery import (
     AskBegan,
     ForwardTo,
     Letter,
-    LostLetters,
     Outbox,
     Receipt,
     Seek,
     StreamsBegan,
-    ToSend,
     asked_now,
     false_name,
 )
 from pancakes.durable.messages import REGISTRAR, Fact, Known, WhoHas
 from pancakes.durable.record import TaskId
 from pancakes.durable.register_messages import KnownCame
-from pancakes.durable.snapshot import Posted
 from pancakes.durable.store import Records
 from pancakes.errors import LocalProtocolError, MigrationError, PancakesError, RemoteProtocolError
 from pancakes.kernel.actor import ActorCore
 from pancakes.kernel.handlers import drop_oldest, on
 from pancakes.kernel.mailbox import Reference, tell
-from pancakes.mesh.codec import MAX_MESSAGE_BYTES, encode_packet, of_agent, packet_from_row, rows_from_payload
+from pancakes.mesh.codec import MAX_MESSAGE_BYTES, encode_packet, packet_from_row, rows_from_payload
 from pancakes.mesh.mesh import Mesh
 from pancakes.packet import NETWORK, TO_TASK, Packet, agent_of, join
 from pancakes.util.text import did_you_mean
 
 ENVELOPE_BYTES: Final = 1024
 """What a letter takes besides the packet in it, at most."""
-
-
-class SharedOutbox:
-    """An outbox that publishers fill, senders change as they move, and the courier empties. Any thread.
-
-    Its lock is held for the outbox alone: no method calls anything outside.
-
-    Args:
-        outbox: what is not acknowledged.
-    """
-
-    def __init__(self, outbox: Outbox) -> None:
-        self._outbox = outbox
-        self._lock = threading.Lock()
-        self._unsent: list[ToSend] = []  # in the order in which they were numbered
-
-    @property
-    def name(self) -> str:
-        """The name of this agent's own stream, with which the names of all its streams begin."""
-        return self._outbox.name
-
-    def post(self, packet: Packet, host: str, now_s: float) -> None:
-        """Takes a packet whose destination is a task.
-
-        Args:
-            packet: the packet.
-            host: where that task is, as far as is known; used for the first packet of this sender to it only.
-            now_s: host time.
-
-        Raises:
-            LocalProtocolError: the packet cannot travel.
-            MailboxFullError: too many wait for this task already.
-        """
-        task_id = receiver_of(packet)
-        sender = packet.fence.task_id if packet.fence is not None else ""
-        with self._lock:
-            data = encode_packet(packet)
-            if len(data) > MAX_MESSAGE_BYTES - ENVELOPE_BYTES:
-                raise LocalProtocolError(
-                    f"the packet {packet.number} of the type {packet.type!r} from {packet.source} takes {len(data)}"
-                    f" bytes, and {MAX_MESSAGE_BYTES - ENVELOPE_BYTES} may be sent to a task"
-                )
-            host = self._outbox.host_of(sender, task_id) or host
-            self._unsent += self._outbox.post(sender, task_id, data, host, now_s)
-
-    def acknowledged(self, receipt: Receipt, peer: str, now_s: float) -> None:
-        """Forgets what has had its effect."""
-        with self._lock:
-            self._unsent += self._outbox.acknowledged(receipt, peer, now_s)
-
-    def unsure_of(self, claims: Iterable[Fact]) -> list[AskBegan]:
-        """Returns what is to be asked of an agent that owns tasks: from what state each of them began there."""
-        with self._lock:
-            asked = [(str(it.task_id), self._outbox.unsure_of(str(it.task_id), it.register.epoch.n)) for it in claims]
-        return [AskBegan(task_id, streams[:MOST_STREAMS]) for task_id, streams in asked if streams]
-
-    def began(self, news: StreamsBegan, peer: str) -> None:
-        """Learns from what state a task began where it is now."""
-        with self._lock:
-            self._outbox.began(news, peer)
-
-    def take_lost(self) -> list[LostLetters]:
-        """Returns what is known to be lost, and forgets it."""
-        with self._lock:
-            return self._outbox.take_lost()
-
-    def forwarded(self, news: ForwardTo, peer: str, now_s: float) -> None:
-        """Learns of a peer where a task has gone."""
-        with self._lock:
-            self._unsent += self._outbox.forwarded(news, peer, now_s)
-
-    def look(self, now_s: float) -> None:
-        """Looks for what was not acknowledged for too long: that is to be sent again."""
-        with self._lock:
-            self._unsent += self._outbox.due(now_s)
-
-    def take_unsent(self) -> Sequence[ToSend]:
-        """Returns what is to be sent now, in order, and forgets that."""
-        with self._lock:
-            unsent, self._unsent = self._unsent, []
-        return unsent
-
-    def waiting(self) -> dict[str, int]:
-        """Returns how many packets wait for their acknowledgement, by the task that they are for."""
-        with self._lock:
-            return self._outbox.waiting()
-
-    # A sender that moves ---------------------------------------------------------------------------------------
-
-    def leave(self, sender: TaskId) -> Posted | None:
-        """A task is paused and is about to leave: returns what it takes along of what it has sent."""
-        with self._lock:
-            return self._outbox.leave(str(sender))
-
-    def stay(self, sender: TaskId) -> None:
-        """It does not leave after all."""
-        with self._lock:
-            self._outbox.stay(str(sender))
-
-    def gone(self, sender: TaskId, ends: bool) -> None:
-        """It has left for good; `ends`: its actor is still to end here, and `ended` is to follow."""
-        with self._lock:
-            self._outbox.gone(str(sender), ends)
-
-    def ended(self, sender: str) -> None:
-        """The actor of a task (`birthplace/name`) that has left for good has ended."""
-        with self._lock:
-            self._outbox.ended(sender)
-
-    def arrive(
-        self,
-        sender: TaskId,
-        posted: Posted | None,
-        fresh: bool,
-        now_s: float,
-        restamped: Callable[[str, float], float],
-    ) -> None:
-        """A task begins from a snapshot; `fresh`: nothing of it has run since that was taken.
-
-        What it sent from another agent goes on from here under its address here, as no agent takes it otherwise, and
-        with stamps of the mission time here; see `of_agent`.
-        """
-        if posted is not None:
-            here = self._outbox.agent
-            to = [
-                replace(it, packets=tuple(of_agent(packet, here, restamped) for packet in it.packets))
-                for it in posted.to
-            ]
-            posted = replace(posted, to=tuple(to))
-        with self._lock:
-            self._outbox.arrive(str(sender), posted, fresh)
-            if posted is not None:
-                self._unsent += self._outbox.due(now_s)
 
 
 def receiver_of(packet: Packet) -> TaskId:
@@ -211,7 +70,7 @@ class Courier(ActorCore):
         mesh: says what neighbours there are.
     """
 
-    def __init__(self, *args: Any, outbox: SharedOutbox, records: Records, mesh: Mesh, **others: Any) -> None:
+    def __init__(self, *args: Any, outbox: Outbox, records: Records, mesh: Mesh, **others: Any) -> None:
         super().__init__(*args, **others)
         self._outbox = outbox
         self._records = records
@@ -249,9 +108,15 @@ class Courier(ActorCore):
             LocalProtocolError: the destination is no task's, or the packet cannot travel.
             MailboxFullError: too many wait for this task already.
         """
-        task_id = receiver_of(packet)
+        task_id, data = receiver_of(packet), encode_packet(packet)
+        if len(data) > MAX_MESSAGE_BYTES - ENVELOPE_BYTES:
+            raise LocalProtocolError(
+                f"the packet {packet.number} of the type {packet.type!r} from {packet.source} takes {len(data)}"
+                f" bytes, and {MAX_MESSAGE_BYTES - ENVELOPE_BYTES} may be sent to a task"
+            )
+        sender = packet.fence.task_id if packet.fence is not None else ""
         host = self.agent if self._service_of(task_id) is not None else task_id.birthplace
-        self._outbox.post(packet, host, self.kernel.host.now())
+        self._outbox.post(sender, task_id, data, host, self.kernel.host.now())
         tell(self, SendUnsent())
 
     def _say(self, peer: str, body: Letter | Receipt | ForwardTo | StreamsBegan) -> None:
@@ -269,7 +134,11 @@ class Courier(ActorCore):
 
     def _ask_began(self, came: KnownCame) -> None:
         """Another agent owns tasks: asks what is lost of what was acknowledged for them."""
-        for asked in self._outbox.unsure_of(came.known.claims):
+        for fact in came.known.claims:
+            streams = self._outbox.unsure_of(str(fact.task_id), fact.register.epoch.n)
+            if not streams:
+                continue
+            asked = AskBegan(str(fact.task_id), streams[:MOST_STREAMS])
             self._asked.add((came.peer, asked.task_id))
             try:
                 self.publish(NETWORK, asked, to=join(came.peer, COURIER))

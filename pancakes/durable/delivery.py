@@ -1,14 +1,15 @@
-"""Reliable delivery of packets to tasks wherever they run: numbered streams, receipts and duplicate filters. Pure.
+"""Reliable delivery of packets to tasks wherever they run: numbered streams, receipts and duplicate filters.
 
 A sender keeps each letter until it is acknowledged, and sends it again until then, in order. The receiver takes only
 the next letter of each stream, so a late, doubled or reordered letter has no second effect and overtakes nothing. If
 the task has migrated, the agent that had it names the new one, and the sender sends the letter there itself: each
 agent speaks only for itself (docs/protocol.md, letters). A task that sends letters takes its stream along when it
-migrates.
+migrates. All of this is pure, except that the outbox of an agent has a lock.
 """
 
 from __future__ import annotations
 
+import threading
 from collections import OrderedDict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Annotated, Any, Final, NamedTuple
@@ -493,11 +494,13 @@ def _take_first(table: dict[str, Any]) -> str:
 
 
 class Outbox:
-    """The streams of one agent.
+    """The streams of one agent: publishers fill it, senders change it as they move, and the courier empties it.
+
+    Any thread. Its lock is held for its own tables alone.
 
     A stream to which no task adds any more, because its task has gone on in another one, is kept until all of it is
     acknowledged. What a task sends on its way out (a thread of its own, its `on_stop`) goes in the common stream: of
-    streams of its own, one for each move, there would be ever more where no agent acknowledges them.
+    streams of its own, one for each move, there would be ever more if no agent acknowledges them.
 
     Args:
         name: begins the names of all streams that are begun here; no other start of any agent ever had it.
@@ -514,114 +517,121 @@ class Outbox:
         self.agent = agent
         self._secret = secret
         self._begun = 0
+        self._lock = threading.Lock()
+        self._unsent: list[ToSend] = []  # in the order in which they were numbered
         self._common = self._begin(name)
         self._streams: dict[str, Outgoing] = {self._common.stream: self._common}
         self._named: dict[str, Outgoing] = {}  # by what they are called in letters
         self._of: dict[str, Outgoing] = {}  # the streams that tasks add to, by the sender's id
-        self._left: dict[str, Outgoing | None] = {}  # those of tasks that stand still for a migration
+        self._left: dict[str, Outgoing | None] = {}  # those of tasks that are paused for a migration
         self._ending: set[str] = set()  # tasks that have left for good, and whose actor has not ended
 
-    def post(self, sender: str, task_id: TaskId, packet: bytes, host: str, now_s: float) -> list[ToSend]:
-        """Takes a packet, and returns what is to be sent now.
+    def post(self, sender: str, task_id: TaskId, packet: bytes, host: str, now_s: float) -> None:
+        """Take a packet for a task.
 
         Args:
             sender: the task that sends it, as `birthplace/name`; empty: the sender does not move.
             task_id: the task that it is for.
             packet: the packet, as the wire writes it.
-            host: where that task is, as far as is known; used for the first packet of this sender to it only.
+            host: where that task is, as far as the caller knows, if nothing that is kept here was ever sent to it.
             now_s: host time.
 
         Raises:
             MailboxFullError: too many of this sender wait for this task already.
         """
-        stream = self._stream_of(sender)
-        follows = stream.post(task_id, packet, host, now_s)
-        self._named[stream.name_for(str(task_id))] = stream
-        return follows
+        with self._lock:
+            stream = self._stream_of(sender)
+            self._unsent += stream.post(task_id, packet, self._host_of(stream, task_id) or host, now_s)
+            self._named[stream.name_for(str(task_id))] = stream
 
-    def host_of(self, sender: str, task_id: TaskId) -> str:
-        """Returns where a task is thought to be; empty: nothing that is kept here was ever sent to it."""
-        own = self._stream_of(sender).host_of(task_id)
-        if own is not None:
-            return own[1]
-        known = [found for stream in self._streams.values() if (found := stream.host_of(task_id)) is not None]
-        return max(known)[1] if known else ""
+    def take_unsent(self) -> Sequence[ToSend]:
+        """Return what is to be sent now, in order, and forget that."""
+        with self._lock:
+            unsent, self._unsent = self._unsent, []
+        return unsent
 
-    def acknowledged(self, receipt: Receipt, peer: str, now_s: float) -> list[ToSend]:
-        """Forgets what has had its effect, and returns what may follow."""
-        stream = self._named.get(receipt.stream)
-        if stream is None:
-            return []
-        follows = stream.acknowledged(receipt, peer, now_s)
-        self._drop_done(stream)
-        return follows
+    def acknowledged(self, receipt: Receipt, peer: str, now_s: float) -> None:
+        """Forget what has had its effect; what follows may be sent."""
+        with self._lock:
+            if (stream := self._named.get(receipt.stream)) is not None:
+                self._unsent += stream.acknowledged(receipt, peer, now_s)
+                self._drop_done(stream)
 
     def unsure_of(self, task_id: str, epoch_n: int) -> tuple[str, ...]:
-        """Returns the streams, as letters to a task name them, whose letters may be lost now that an epoch owns it."""
-        streams = self._streams.values()
-        return tuple(stream.name_for(task_id) for stream in streams if stream.is_unsure_of(task_id, epoch_n))
+        """Return the streams, as letters to a task name them, whose letters may be lost now that an epoch owns it."""
+        with self._lock:
+            streams = self._streams.values()
+            return tuple(stream.name_for(task_id) for stream in streams if stream.is_unsure_of(task_id, epoch_n))
 
     def began(self, news: StreamsBegan, peer: str) -> None:
-        """Learns from what state a task began where it is now."""
-        for stream in self._streams.values():
-            stream.began(news, peer)
+        """Learn from what state a task began where it is now."""
+        with self._lock:
+            for stream in self._streams.values():
+                stream.began(news, peer)
 
     def take_lost(self) -> list[LostLetters]:
-        """Returns what is known to be lost, and forgets it."""
-        senders = {stream.stream: sender for sender, stream in self._of.items()}
-        return [
-            replace(lost, sender=senders.get(name, ""))
-            for name, stream in self._streams.items()
-            for lost in stream.take_lost()
-        ]
+        """Return what is known to be lost, and forget it."""
+        with self._lock:
+            senders = {stream.stream: sender for sender, stream in self._of.items()}
+            return [
+                replace(lost, sender=senders.get(name, ""))
+                for name, stream in self._streams.items()
+                for lost in stream.take_lost()
+            ]
 
-    def forwarded(self, news: ForwardTo, peer: str, now_s: float) -> list[ToSend]:
-        """Learns of a peer where a task has gone, and returns what waits for it."""
-        return [dispatch for stream in self._streams.values() for dispatch in stream.forwarded(news, peer, now_s)]
+    def forwarded(self, news: ForwardTo, peer: str, now_s: float) -> None:
+        """Learn of a peer where a task has gone; what waits for it is sent there."""
+        with self._lock:
+            for stream in self._streams.values():
+                self._unsent += stream.forwarded(news, peer, now_s)
 
-    def due(self, now_s: float) -> list[ToSend]:
-        """Returns what is to be sent again."""
-        return [dispatch for stream in self._streams.values() for dispatch in stream.due(now_s)]
+    def look(self, now_s: float) -> None:
+        """Look for what was not acknowledged for too long: that is to be sent again."""
+        with self._lock:
+            self._look(now_s)
 
     def waiting(self) -> dict[str, int]:
-        """Returns how many packets wait for their acknowledgement, by the task that they are for."""
+        """Return how many packets wait for their acknowledgement, by the task that they are for."""
         waiting: dict[str, int] = {}
-        for stream in self._streams.values():
-            for task_id, count in stream.waiting().items():
-                waiting[task_id] = waiting.get(task_id, 0) + count
+        with self._lock:
+            for stream in self._streams.values():
+                for task_id, count in stream.waiting().items():
+                    waiting[task_id] = waiting.get(task_id, 0) + count
         return waiting
 
     # A sender that moves ---------------------------------------------------------------------------------------
 
     def leave(self, sender: str) -> Posted | None:
-        """A sender is paused and is about to leave: returns its stream, to which nothing may be added from now on.
+        """A sender is paused and is about to leave: return its stream, to which nothing may be added from now on.
 
         What is in it is sent all the same: its new host will send it again under the same numbers.
         """
-        if sender not in self._left:
-            self._left[sender] = self._of.pop(sender, None)
-        stream = self._left[sender]
-        return stream.posted() if stream is not None else None
+        with self._lock:
+            if sender not in self._left:
+                self._left[sender] = self._of.pop(sender, None)
+            stream = self._left[sender]
+            return stream.posted() if stream is not None else None
 
     def stay(self, sender: str) -> None:
         """It does not leave after all, and goes on with its stream."""
-        stream = self._left.pop(sender, None)
-        if stream is not None:
-            self._of[sender] = stream
+        with self._lock:
+            if (stream := self._left.pop(sender, None)) is not None:
+                self._of[sender] = stream
 
     def gone(self, sender: str, ends: bool = False) -> None:
         """It has left for good, with its stream; `ends`: its actor is still to end here, and `ended` is to follow."""
-        stream = self._left.pop(sender, None)
-        if stream is not None:
-            self._forget(stream)
-        if ends:
-            self._ending.add(sender)
+        with self._lock:
+            if (stream := self._left.pop(sender, None)) is not None:
+                self._forget(stream)
+            if ends:
+                self._ending.add(sender)
 
     def ended(self, sender: str) -> None:
         """Nothing of a sender that has left runs here any more."""
-        self._ending.discard(sender)
+        with self._lock:
+            self._ending.discard(sender)
 
-    def arrive(self, sender: str, posted: Posted | None, fresh: bool) -> None:
+    def arrive(self, sender: str, posted: Posted | None, fresh: bool, now_s: float) -> None:
         """A sender begins from a snapshot.
 
         Args:
@@ -629,10 +639,16 @@ class Outbox:
             posted: the stream that is in the snapshot.
             fresh: whether nothing of it has run since; else numbers may have been given out that the snapshot does not
                 know of, so that only what is in it may be sent again, and the task begins a new stream.
+            now_s: host time.
         """
-        self._ending.discard(sender)
-        if not fresh and sender in self._of:
-            return  # it failed and begins anew: its stream has never left
+        with self._lock:
+            self._ending.discard(sender)
+            if fresh or sender not in self._of:  # else it failed and begins anew: its stream has never left
+                self._take_in(sender, posted, fresh)
+            if posted is not None:
+                self._look(now_s)
+
+    def _take_in(self, sender: str, posted: Posted | None, fresh: bool) -> None:
         former = [self._left.pop(sender, None), self._of.pop(sender, None)]
         if posted is not None:
             if fresh or posted.stream not in self._streams:
@@ -645,6 +661,18 @@ class Outbox:
         for done in former:
             if done is not None:
                 self._drop_done(done)
+
+    # With the lock held ----------------------------------------------------------------------------------------
+
+    def _look(self, now_s: float) -> None:
+        for stream in self._streams.values():
+            self._unsent += stream.due(now_s)
+
+    def _host_of(self, stream: Outgoing, task_id: TaskId) -> str:
+        """Return where a task is thought to be; empty: nothing that is kept here was ever sent to it."""
+        own = stream.host_of(task_id)
+        known = [own] if own is not None else filter(None, (it.host_of(task_id) for it in self._streams.values()))
+        return max(known, default=(-1, ""))[1]
 
     def _stream_of(self, sender: str) -> Outgoing:
         if not sender or sender in self._left or sender in self._ending:

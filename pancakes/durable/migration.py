@@ -84,9 +84,9 @@ class Departures:
         self._host.hold_actuators(slot, "its task is handed over")
         assert isinstance(effect.carried, Carried)
         try:
-            snapshot = self._host.snapshot(slot, effect.carried, self._host.outbox.leave(place.task_id))
+            snapshot = self._host.snapshot(slot, effect.carried, self._host.outbox.leave(str(place.task_id)))
         except PancakesError as error:
-            self._host.outbox.stay(place.task_id)
+            self._host.outbox.stay(str(place.task_id))
             self.let_go_on(slot, place)
             return FreezeFailed(str(error))
         self._host.event("task_frozen", task=slot.name, offer=place.record.epoch.n)
@@ -116,7 +116,7 @@ class Departures:
 
     def resume(self, place: Place, slot: Slot | None) -> None:
         """Lets a task go on that does not leave after all."""
-        self._host.outbox.stay(place.task_id)
+        self._host.outbox.stay(str(place.task_id))
         if slot is not None and slot.task is not None:
             self._host.event("task_resumed", task=slot.name)
             self.let_go_on(slot, place)
@@ -126,7 +126,7 @@ class Departures:
         self._host.kernel.registry.unreserve(join(self._host.address, place.task_id.name))
         # What it was, down to the last byte of its state, is elsewhere now.
         place.came_from, place.letters, place.written, place.ask_again_s = "", None, None, 0.0
-        self._host.outbox.gone(place.task_id, ends)
+        self._host.outbox.gone(str(place.task_id), ends)
         if ends and slot is not None:
             # At once: what its `on_stop` may still command must not reach a wheel that the new owner's host may need.
             self._host.hold_actuators(slot, "its task was handed over")

@@ -17,6 +17,7 @@ from pancakes.durable.messages import Piece
 from pancakes.durable.record import TaskId
 from pancakes.durable.register import Stamp
 from pancakes.errors import MigrationError, RemoteProtocolError
+from pancakes.mesh.codec import of_agent
 from pancakes.migration import GuardRule, MigrationRule
 from pancakes.settings import dotted
 from pancakes.supervision.restart import RestartSpec
@@ -61,6 +62,11 @@ class Posted(msgspec.Struct, frozen=True):
 
     stream: str
     to: tuple[PostedTo, ...]
+
+    def of_agent(self, agent: str, restamped: Callable[[str, float], float]) -> Posted:
+        """Return it as sent from an agent to which the task has migrated; see `pancakes.mesh.codec.of_agent`."""
+        to = [replace(it, packets=tuple(of_agent(one, agent, restamped) for one in it.packets)) for it in self.to]
+        return replace(self, to=tuple(to))
 
 
 class KeptAnswer(msgspec.Struct, frozen=True):
