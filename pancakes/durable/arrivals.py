@@ -15,7 +15,7 @@ from pancakes.control import Refusal, Revive
 from pancakes.durable.checkpoints import carried_of, settings_now, spec_of
 from pancakes.durable.courier_messages import COURIER, SendUnsent
 from pancakes.durable.host_state import HostState
-from pancakes.durable.hosting import SURE, Place, began_from
+from pancakes.durable.hosting import SURE, BeganFrom, Place
 from pancakes.durable.installed import Installed
 from pancakes.durable.questions import Disputes
 from pancakes.durable.reconcile import AskRoom, NoPlace, PlaceFree, Room
@@ -74,7 +74,7 @@ class Arrivals:
             snapshot = Snapshot.decode(record.snapshot)
             # In each start of the agent, and of the service, later than in the one before.
             life = (host.boot << 40) + int(host.kernel.host.now() * 1000.0)
-            place.began = began_from(record.epoch, snapshot, life)
+            place.began = BeganFrom(record.epoch.n, snapshot.heard, life)
             # One that has left has no slot, also if its checkpoint is kept here for it: another task may have its name.
             has_left = record.standing in (Standing.RELEASED, Standing.MEMBER) and not record.was_ours
             specs = [] if has_left or task_id.name in host.residents else [self._spec_here(snapshot)]

@@ -16,7 +16,7 @@ from msgspec.structs import asdict, replace
 
 from pancakes.durable.courier_messages import COURIER, AskedBegan, CameFor, Say
 from pancakes.durable.delivery import ForwardTo, Letter, PacketId, Receipt, StreamsBegan
-from pancakes.durable.hosting import Place, TaskLetters, began_from, last_checkpoint, plain_of
+from pancakes.durable.hosting import BeganFrom, LastCheckpoint, Place, TaskLetters, plain_of
 from pancakes.durable.installed import Installed
 from pancakes.durable.messages import REGISTRAR
 from pancakes.durable.reconcile import Outcome, Write
@@ -35,7 +35,7 @@ from pancakes.supervision.lifecycle import State
 from pancakes.supervision.messages import Carried, Give, LetterGiven, LetterOutcome, Look, Looked
 from pancakes.supervision.restart import RestartSpec
 from pancakes.supervision.slots import Slot
-from pancakes.task import TaskSpec
+from pancakes.task import Nothing, TaskSpec
 from pancakes.util import codecs
 from pancakes.util.arrays import alike
 
@@ -277,7 +277,7 @@ class Checkpointing:
         if slot.life.state is not State.RUNNING:
             return
         place = self._host.places.at[slot.name]
-        if not place.idle:
+        if not place.course.settled:
             # The disk is slow, or a migration under way: the next time will do, and nothing piles up meanwhile.
             self.late[place.task_id] = place
             return
@@ -291,7 +291,8 @@ class Checkpointing:
             self._tell_unwritable(slot, str(error))
             return
         place.unwritable = False
-        place.written, place.looked_s = last_checkpoint(slot.spec.cls, carried, plain), self._host.kernel.host.now()
+        place.written = LastCheckpoint(plain, carried if slot.spec.cls.State is Nothing else None)
+        place.looked_s = self._host.kernel.host.now()
         consumed = place.letters.consumed(carried.heard) if place.letters is not None else ()
         then = partial(self._saved, place, consumed)
         self._host.tell_registrar(place, Save(snapshot), then, write=Write.SAVE, is_checkpoint=True)
@@ -326,17 +327,7 @@ class Deliveries:
     def __init__(self, host: ClientServiceCore) -> None:
         self._host = host
 
-    def heard(self, message: CameFor | LetterGiven | AskedBegan) -> None:
-        """Another actor of this agent has said something about letters."""
-        match message:
-            case CameFor():
-                self._arrived(message)
-            case LetterGiven():
-                self._given(message)
-            case AskedBegan():
-                self._asked_began(message)
-
-    def _arrived(self, came: CameFor) -> None:
+    def arrived(self, came: CameFor) -> None:
         """Takes a letter; where it cannot be given to the task now, its sender keeps it and sends it again."""
         letter, host = came.letter, self._host
         place = host.places.get(TaskId.parse(letter.task_id))
@@ -367,7 +358,7 @@ class Deliveries:
         if letters.give(slot.task, letter, packet):
             tell(slot.task, Give(letter, addressed))
 
-    def _given(self, told: LetterGiven) -> None:
+    def given(self, told: LetterGiven) -> None:
         """A task says what has become of a letter."""
         letter, task = told.give.letter, told.task
         place = self._host.places.get(TaskId.parse(letter.task_id))
@@ -408,9 +399,9 @@ class Deliveries:
             snapshot = Snapshot.decode(record.snapshot)
         except MigrationError:  # it cannot be started either, which is said where that is tried
             return
-        place.began = began_from(record.epoch, snapshot)
+        place.began = BeganFrom(record.epoch.n, snapshot.heard)
 
-    def _asked_began(self, message: AskedBegan) -> None:
+    def asked_began(self, message: AskedBegan) -> None:
         """An agent that has sent letters to a task asks from what state it began here."""
         place = self._host.places.get(TaskId.parse(message.asked.task_id))
         if place is not None and place.began is not None and place.record.owned:

@@ -37,7 +37,6 @@ from pancakes.durable.record import TaskId, rest_of
 from pancakes.durable.register import Standing, Wanted
 from pancakes.durable.register_messages import (
     CannotStart,
-    Concluded,
     CopyNoticed,
     Feed,
     GoodbyeSaid,
@@ -369,8 +368,6 @@ class ClientServiceCore(ServiceCore):
                 self._departures.drop(place, slot, effect.ends)
             case reconcile.Resume():
                 self._departures.resume(place, slot)
-            case reconcile.Conclude():
-                self.kernel.tell(REGISTRAR, Concluded(place.task_id))
             case _:
                 assert_never(effect)
 
@@ -482,15 +479,18 @@ class ClientServiceCore(ServiceCore):
                         self.feed(slot, reconcile.StoodStill(message.number, message.carried, message.reason))
                     else:
                         self._has_no_permit(slot, self.places.at[slot.name])
-            case LetterGiven() | CameFor() | AskedBegan():
-                self._deliveries.heard(message)
+            case LetterGiven():
+                self._deliveries.given(message)
+            case CameFor():
+                self._deliveries.arrived(message)
+            case AskedBegan():
+                self._deliveries.asked_began(message)
             case NeighbourCame() | KnownCame() | CopyNoticed():
                 self._disputes.heard(message)
             case Imported():
                 self.begin_command(message.waiting, request_of(message.waiting))
             case BidAwarded() | MoveOver():
-                place = self.places[message.task_id]
-                self.feed_place(place, self._mover.heard(place, message))
+                self._mover.heard(self.places[message.task_id], message)
             case MigratorBegan():
                 self._mover.migrator_began()
             case _:
@@ -552,7 +552,7 @@ class ClientServiceCore(ServiceCore):
     def _look(self, place: Place, request: Request) -> None:
         if not self.waits(request):
             return
-        is_written = place.idle and not any(self._pending[it].place is place for it in self._unwritten)
+        is_written = place.course.settled and not any(self._pending[it].place is place for it in self._unwritten)
         trouble = "" if is_written else place.course.trouble or self._records.trouble(place.task_id)
         if not trouble:
             self.after_host(LOOK_AGAIN_S, lambda: self._look(place, request))

@@ -17,7 +17,7 @@ from pancakes.durable.messages import Solicit
 from pancakes.durable.reconcile import Course, Outcome, Write
 from pancakes.durable.record import Record, TaskId
 from pancakes.durable.register import Epoch, Identity
-from pancakes.durable.snapshot import Snapshot, why_unwritable
+from pancakes.durable.snapshot import why_unwritable
 from pancakes.errors import MigrationError
 from pancakes.kernel.dead_letters import MOST_KNOWN
 from pancakes.kernel.mailbox import Reference
@@ -28,7 +28,7 @@ from pancakes.packet import Packet
 from pancakes.supervision.lifecycle import Request
 from pancakes.supervision.messages import Carried
 from pancakes.supervision.slots import Slot
-from pancakes.task import Nothing, Task, TaskSpec
+from pancakes.task import TaskSpec
 from pancakes.util import codecs
 from pancakes.util.arrays import saved_array
 
@@ -58,17 +58,6 @@ class LastCheckpoint(msgspec.Struct, frozen=True):
             and note.plain is carried.settings
             and all(timer.period_s == carried.periods_s.get(timer.method) for timer in timers)
         )
-
-
-def last_checkpoint(cls: type[Task], carried: Carried, plain: bytes) -> LastCheckpoint:
-    """Returns what is remembered of a checkpoint.
-
-    Args:
-        cls: the task's class.
-        carried: what it carries.
-        plain: the same, encoded.
-    """
-    return LastCheckpoint(plain, carried if cls.State is Nothing else None)
 
 
 def plain_of(carried: Carried) -> bytes:
@@ -265,7 +254,7 @@ class BeganFrom(msgspec.Struct, frozen=True):
     Attributes:
         epoch_n: the number of the epoch under which it began.
         heard: the duplicate filter in the snapshot that it began from.
-        life: as `began_life` of `pancakes.durable.delivery.Receipt`.
+        life: as `began_life` of `pancakes.durable.delivery.Receipt`; 0 if it has just come under that epoch.
     """
 
     epoch_n: int
@@ -276,11 +265,6 @@ class BeganFrom(msgspec.Struct, frozen=True):
         """Returns up to which letter of a stream it had the effects; -1: that is not known."""
         # Of more streams than it remembers it has forgotten some.
         return self.heard.get(stream, 0 if len(self.heard) < STREAMS else -1)
-
-
-def began_from(epoch: Epoch, snapshot: Snapshot, life: int = 0) -> BeganFrom:
-    """Returns what a task begins from that is owned under an epoch; `life`: 0 where it has just come under that."""
-    return BeganFrom(epoch.n, snapshot.heard, life)
 
 
 class Unsure(msgspec.Struct, frozen=True):
@@ -336,6 +320,7 @@ class Place(msgspec.Struct):
         creation: the creation that waits for its start; None: none.
         removal: the request to remove it that waits for its end, or for the disk; None: none.
         follows: the task that it is started after; None: none.
+        to_follow: how much of what follows its migration is still to be done.
         other: the agent that said of all others that it owns it under the highest epoch; None: none has said so.
         unsure: why it does not run, if this agent does not know what it must know.
         unwritable: whether what it carries could not be written down when it was last looked at.
@@ -358,6 +343,7 @@ class Place(msgspec.Struct):
     creation: Creation | None = None
     removal: Request | None = None
     follows: TaskId | None = None
+    to_follow: int = 0
     other: OtherOwner | None = None
     unsure: Unsure = SURE
     unwritable: bool = False
@@ -368,11 +354,6 @@ class Place(msgspec.Struct):
     def record(self) -> Record:
         """What is on disk."""
         return self.course.record
-
-    @property
-    def idle(self) -> bool:
-        """Whether nothing is being written, and no migration is under way: a checkpoint may be."""
-        return self.course.settled
 
     @property
     def owes(self) -> bool:

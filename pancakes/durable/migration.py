@@ -9,6 +9,8 @@ from __future__ import annotations
 from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
+from msgspec.structs import replace
+
 from pancakes.control import Describe, Migrate, Refusal, Remove, Stop
 from pancakes.durable.after_migration import Sequel
 from pancakes.durable.bidding_messages import (
@@ -21,7 +23,7 @@ from pancakes.durable.bidding_messages import (
     ServiceBegan,
 )
 from pancakes.durable.hosting import Move, Place
-from pancakes.durable.messages import REGISTRAR, Solicit
+from pancakes.durable.messages import REGISTRAR
 from pancakes.durable.reconcile import (
     AttemptFailed,
     Award,
@@ -29,7 +31,6 @@ from pancakes.durable.reconcile import (
     FreezeFailed,
     Frozen,
     HandedOver,
-    PartConcluded,
     RestOverdue,
     StartWanted,
     StillOverdue,
@@ -45,12 +46,10 @@ from pancakes.kernel.handlers import LATEST
 from pancakes.kernel.mailbox import tell
 from pancakes.migration import (
     AGAIN_S,
-    CostChoice,
     MigrationReport,
     MigrationRule,
     cost_text,
     fault_of_choice,
-    is_of_core,
 )
 from pancakes.packet import SYSCTRL, SYSTEM, Fence, Packet, agent_of, join
 from pancakes.supervision.lifecycle import RESTS, Request, State
@@ -250,39 +249,18 @@ class Mover:
             raise ControlRefusedError(
                 f"{slot.address} cannot move: the Network Service of {host.agent} is stopped", "unable"
             )
-        offer = self._offer(place, body.cost)
         self._asks += 1
-        rule = slot.spec.rule
-        request = Solicit(
-            place.task_id,
-            self._asks,
-            slot.spec.type,
-            slot.spec.version,
-            host.name,
-            slot.spec.cls.requires,
-            body.cost,
-            rule.least_level if rule is not None else None,
-            offer,
-            least_reserve_s=rule.least_reserve_s if rule is not None else None,
-        )
+        snapshot = replace(Snapshot.decode(place.record.snapshot), version=slot.spec.version)
+        try:
+            request = snapshot.solicit(self._asks, body.cost, slot.spec.rule)
+        except MigrationError as error:
+            raise ControlRefusedError(
+                f"{place.task_id} cannot move for the cost {cost_text(body.cost)}: {error}", "unable"
+            ) from None
         place.move = Move(request, body.then, answer, body.dry_run)
         asked_by = answer.by if answer is not None else "rule"
         host.event("migration_asked", task=slot.name, by=asked_by, cost=cost_text(body.cost), to=body.to)
         host.kernel.tell(MIGRATOR, Negotiate(self._host, request, asked_by, body.to, body.dry_run))
-
-    def _offer(self, place: Place, cost: CostChoice) -> bytes:
-        """Returns what bidders are told of a task.
-
-        Raises:
-            ControlRefusedError: that is too much.
-        """
-        record = place.record
-        try:
-            return Snapshot.decode(record.snapshot).offer() if record.snapshot and not is_of_core(cost) else b""
-        except MigrationError as error:
-            raise ControlRefusedError(
-                f"{place.task_id} cannot move for the cost {cost_text(cost)}: {error}", "unable"
-            ) from None
 
     def follower_of(self, slot: Slot, name: str) -> Place:
         """Return the place of the task that is to start in the place of another one, which is being stopped.
@@ -334,15 +312,16 @@ class Mover:
 
     # What the Task Migrator tells ------------------------------------------------------------------------------
 
-    def heard(self, place: Place, message: BidAwarded | MoveOver) -> Award | PartConcluded | None:
-        """The agent with the lowest bid keeps room for the task, or a migration is over; return what follows."""
+    def heard(self, place: Place, message: BidAwarded | MoveOver) -> None:
+        """The agent with the lowest bid keeps room for the task, or a migration is over."""
         if isinstance(message, MoveOver):
-            return self._over(place, message)
+            self._over(place, message)
+            return
         if place.move is not None:
             place.move.ledger = message.ledger
-        return Award(message.heir)
+        self._host.feed_place(place, Award(message.heir))
 
-    def _over(self, place: Place, over: MoveOver) -> PartConcluded | None:
+    def _over(self, place: Place, over: MoveOver) -> None:
         move, place.move = place.move, None
         if move is not None and move.answer is not None:
             self._host.reply(move.answer, Refusal.if_any(over.reason), over.result)
@@ -350,10 +329,9 @@ class Mover:
             rule = place.slot.spec.rule if place.slot is not None and move.answer is None else None
             why = f"{over.task_id} stays on {self._host.agent}: {over.reason}"
             self._refused(place, rule, why, "info" if move.answer is not None else "warning")
-        if place.account is None or over.reason:
-            return None
-        place.account = None
-        return PartConcluded()
+        if place.account is not None and not over.reason:
+            place.account = None
+            self._has_followed(place)
 
     def _refused(self, place: Place, rule: MigrationRule | None, why: str, level: str = "warning") -> None:
         """No agent takes a task now. Where its rule has asked, that says what is done then.
@@ -402,7 +380,7 @@ class Mover:
     def handed_over(self, place: Place, effect: HandedOver) -> None:
         """Another agent has the task: does what is to follow."""
         self._host.event("task_handed_over", task=place.task_id.name, to=effect.peer, epoch=effect.epoch.n)
-        sequel = self._read(place.task_id, effect.sequel)
+        sequel, place.to_follow = self._read(place.task_id, effect.sequel), 2  # its account, and another task
         # In a turn of its own: after a restart of the agent this comes while the other tasks are being started.
         self._host.call(lambda: self._conclude(place, effect, sequel))
 
@@ -433,9 +411,15 @@ class Mover:
             return
         if reason:
             host.log("error", reason)
-        host.feed_place(gone, PartConcluded())
+        self._has_followed(gone)
 
     def followed(self, place: Place, gone: TaskId) -> None:
         """The start of a task that follows another one is decided."""
         place.follows = None
-        self._host.feed_place(self._host.places[gone], PartConcluded())
+        self._has_followed(self._host.places[gone])
+
+    def _has_followed(self, gone: Place) -> None:
+        """A part of what follows a migration is done; once all is, the record of the task says so."""
+        gone.to_follow -= 1
+        if not gone.to_follow:
+            self._host.kernel.tell(REGISTRAR, Concluded(gone.task_id))

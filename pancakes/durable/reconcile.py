@@ -184,13 +184,7 @@ class Warn(msgspec.Struct, frozen=True):
     text: str
 
 
-class Conclude(msgspec.Struct, frozen=True):
-    """What was to follow the migration is done."""
-
-
-HostEffect = (
-    Tell | OpenPlace | Unreserve | Decided | Drop | Resume | AttemptFailed | HandedOver | After | Warn | Conclude
-)
+HostEffect = Tell | OpenPlace | Unreserve | Decided | Drop | Resume | AttemptFailed | HandedOver | After | Warn
 """Effects that a task without a slot may have too."""
 SlotEffect = AskRoom | Prepare | Rested | Freeze | TakeDown | LetGoOn | Hold | Vacate
 
@@ -334,10 +328,6 @@ class Removed(msgspec.Struct, frozen=True):
     """It was removed, and enough members know."""
 
 
-class PartConcluded(msgspec.Struct, frozen=True):
-    """One of the two things that follow its migration is done."""
-
-
 Event = (
     Came
     | ServiceBegan
@@ -356,7 +346,6 @@ Event = (
     | Refused
     | InDoubt
     | Removed
-    | PartConcluded
 )
 AnyEvent = lifecycle.Event | Event
 AnyEffect = lifecycle.Effect | SlotEffect | HostEffect
@@ -406,7 +395,6 @@ class Course(msgspec.Struct, frozen=True):
         fresh: it has come from another agent, and has not begun here.
         moving: its migration from here; None: none.
         moves: how many there were.
-        to_conclude: how much of what follows its migration is still to be done.
         removing: it is to be removed, which waits for its members.
     """
 
@@ -424,7 +412,6 @@ class Course(msgspec.Struct, frozen=True):
     fresh: bool = False
     moving: Moving | None = None
     moves: int = 0
-    to_conclude: int = 0
     removing: bool = False
 
     @property
@@ -812,7 +799,7 @@ def _is_elsewhere(step: Step, before: Record) -> None:
 
 def _handed_over(step: Step) -> None:
     record = step.record
-    step.change(leaving=step.life is not None, to_conclude=2)
+    step.change(leaving=step.life is not None)
     step.do(HandedOver(record.peer, record.seen, record.sequel))
 
 
@@ -924,13 +911,6 @@ def _in_doubt(step: Step, event: InDoubt) -> None:
     step.do(Warn(f"{record.task_id} {story} (epoch {record.seen}): the migration goes on by itself once it answers"))
 
 
-def _part_concluded(step: Step, event: PartConcluded) -> None:
-    left = step.course.to_conclude - 1
-    step.change(to_conclude=left)
-    if not left:
-        step.do(Conclude())
-
-
 # What became of writes ----------------------------------------------------------------------------------------------
 
 
@@ -1014,7 +994,6 @@ RULES: Final[Mapping[type, Rule]] = {
     Refused: _heir_refused,
     InDoubt: _in_doubt,
     Removed: lambda step, event: _has_left(step, step.record),
-    PartConcluded: _part_concluded,
 }
 """The rule of each event."""
 

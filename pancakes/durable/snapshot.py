@@ -13,12 +13,12 @@ from typing import Any, Final, NamedTuple
 import msgspec
 from msgspec.structs import replace
 
-from pancakes.durable.messages import Piece
+from pancakes.durable.messages import Piece, Solicit
 from pancakes.durable.record import TaskId
 from pancakes.durable.register import Stamp
 from pancakes.errors import MigrationError, RemoteProtocolError
 from pancakes.mesh.codec import of_agent
-from pancakes.migration import GuardRule, MigrationRule
+from pancakes.migration import CostChoice, GuardRule, MigrationRule, is_of_core
 from pancakes.settings import dotted
 from pancakes.supervision.restart import RestartSpec
 from pancakes.util import codecs
@@ -205,19 +205,40 @@ class Snapshot(msgspec.Struct, frozen=True):
     offers: tuple[str, ...] = ()
     requests: CarriedRequests | None = None
 
-    def offer(self) -> bytes:
-        """Returns what bidders are told of it: its settings, and what it offers of its state; see `offer_of`.
+    def solicit(self, ask: int, cost: CostChoice, rule: MigrationRule | None, tells: bool = True) -> Solicit:
+        """Return what agents are asked that may take the task.
+
+        Args:
+            ask: number of this asking.
+            cost: name of the cost function to use, or the weight of each of several.
+            rule: when the task migrates by itself; None: it does not.
+            tells: whether a cost function that is none of the core's is told of the task: its settings, and what it
+                offers of its state; see `offer_of`.
 
         Raises:
             MigrationError: that is more than may be told.
         """
-        data = _ENCODE((self.settings, {name: self.state[name] for name in self.offers if name in self.state}))
-        if len(data) > OFFER_BYTES:
+        offer = b""
+        if tells and not is_of_core(cost):
+            offer = _ENCODE((self.settings, {name: self.state[name] for name in self.offers if name in self.state}))
+        if len(offer) > OFFER_BYTES:
             raise MigrationError(
-                f"the settings of {self.task_id} and what it offers of its state have {len(data)} bytes, and bidders"
+                f"the settings of {self.task_id} and what it offers of its state have {len(offer)} bytes, and bidders"
                 f" are told {OFFER_BYTES} at most"
             )
-        return data
+        least_level, least_s = (rule.least_level, rule.least_reserve_s) if rule is not None else (None, None)
+        return Solicit(
+            self.task_id,
+            ask,
+            self.type,
+            self.version,
+            self.service,
+            self.requires,
+            cost,
+            least_level,
+            offer,
+            least_reserve_s=least_s,
+        )
 
     def encode(self) -> bytes:
         """Returns the snapshot as msgpack bytes.

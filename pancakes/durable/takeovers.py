@@ -16,7 +16,7 @@ from pancakes.control import Checkpoints, Guarding, Refusal, Take
 from pancakes.durable import messages, rules
 from pancakes.durable.bidding_messages import MIGRATOR, AttemptOver, BidAwarded, HasMoved, MoveOver, Negotiate
 from pancakes.durable.entry import Entry, Fed, right_of
-from pancakes.durable.messages import REGISTRAR, Fact, Solicit, WhoHas, is_for
+from pancakes.durable.messages import REGISTRAR, Fact, WhoHas, is_for
 from pancakes.durable.origins import Origins
 from pancakes.durable.peer_talk import LastSaid
 from pancakes.durable.record import TaskId
@@ -26,7 +26,7 @@ from pancakes.durable.snapshot import Snapshot, rules_of
 from pancakes.errors import ControlRefusedError, MigrationError
 from pancakes.kernel.mailbox import tell
 from pancakes.kernel.timer import OneShot
-from pancakes.migration import CostChoice, GuardRule, MigrationRule, is_of_core
+from pancakes.migration import GuardRule, MigrationRule
 from pancakes.packet import Packet, agent_of, join
 from pancakes.supervision.messages import AskedOfGuardian, GuardianAnswers
 
@@ -243,31 +243,17 @@ class Takeovers:
         registrar, snapshot, move = self._registrar, orphan.snapshot, orphan.move
         self._asks += 1
         cost = move.cost if move is not None else "tasks"
-        request = Solicit(
-            task_id,
-            self._asks,
-            snapshot.type,
-            snapshot.version,
-            snapshot.service,
-            snapshot.requires,
-            cost,
-            move.least_level if move is not None else None,
-            self._offer(snapshot, cost),
-            least_reserve_s=move.least_reserve_s if move is not None else None,
-        )
+        try:
+            request = snapshot.solicit(self._asks, cost, move)
+        except MigrationError as error:
+            registrar.log("warning", f"bidders for {task_id} are told nothing of it: {error}")
+            request = snapshot.solicit(self._asks, cost, move, tells=False)
         orphan.negotiating_s = registrar.kernel.host.now()
         asked, owner = orphan.asked, orphan.held[0].owner.agent
         asked_by = asked.request.by if asked is not None else "guardians"
         dry_run = asked is not None and asked.dry_run
         cause = self._cause(entry, orphan)
         registrar.kernel.tell(MIGRATOR, Negotiate(registrar, request, asked_by, "", dry_run, owner, cause))
-
-    def _offer(self, snapshot: Snapshot, cost: CostChoice) -> bytes:
-        try:
-            return b"" if is_of_core(cost) else snapshot.offer()
-        except MigrationError as error:
-            self._registrar.log("warning", f"bidders for {snapshot.task_id} are told nothing of it: {error}")
-            return b""
 
     def awarded(self, awarded: BidAwarded) -> None:
         """The bids are compared: calls the agent that made the lowest."""

@@ -7,7 +7,7 @@ from msgspec.structs import replace
 
 from pancakes.control import Refusal
 from pancakes.durable.messages import Solicit
-from pancakes.durable.negotiation import Capability, Reservation, Reservations, compatible
+from pancakes.durable.negotiation import Capability, compatible
 from pancakes.durable.record import TaskId
 from pancakes.migration import ActiveTasks, CostFacts, HostLoad
 
@@ -91,17 +91,6 @@ def test_a_task_without_a_battery_rule_may_go_anywhere() -> None:
 )
 def test_versions(offered: str, here: str, may: bool) -> None:
     assert compatible(offered, here) is may
-
-
-def test_a_slot_is_kept_until_it_expires_or_is_freed() -> None:
-    home = TaskId("agent1", "GoHome")
-    slots = Reservations()
-    slots.keep(SCAN, Reservation("agent1", until_s=105.0))
-    slots.keep(home, Reservation("agent1", until_s=106.0))
-    assert slots.kept(104.9) == (home, SCAN)
-    assert slots.kept(105.0) == (home,)
-    slots.free(home)
-    assert slots.kept(105.0) == ()
 
 
 def test_the_paper_s_cost_is_the_number_of_active_tasks() -> None:

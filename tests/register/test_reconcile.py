@@ -16,7 +16,6 @@ from pancakes.durable.reconcile import (
     Award,
     Came,
     CameToRest,
-    Conclude,
     Course,
     Drop,
     Freeze,
@@ -29,7 +28,6 @@ from pancakes.durable.reconcile import (
     LetGoOn,
     Now,
     OpenPlace,
-    PartConcluded,
     PlaceFree,
     Prepare,
     Refused,
@@ -229,10 +227,6 @@ def test_migration_from_the_award_to_the_end() -> None:
     assert it.of(HandedOver) == HandedOver("b", Epoch(1, B, 4), SEQUEL)
     it.feed(Finished("it ended"))
     assert isinstance(it.of(Vacate), Vacate) and not it.course.leaving
-    it.feed(PartConcluded())
-    assert it.kinds() == []
-    it.feed(PartConcluded())
-    assert it.effects == [Conclude()]
 
 
 def test_stop_during_a_migration_takes_the_offer_back() -> None:

@@ -294,9 +294,6 @@ class Joined:
     def _reconcile_HandedOver(self, world: World, effect: Any, waiting: deque[Any]) -> World:
         return world._replace(parts=world.parts + 2)
 
-    def _reconcile_Conclude(self, world: World, effect: Any, waiting: deque[Any]) -> World:
-        return world._replace(sequel=b"")
-
     # The registrar ---------------------------------------------------------------------------------------------
 
     def came(self, world: World, *outcomes: Any) -> World:
@@ -499,7 +496,7 @@ class Joined:
             yield f"{type(timer).__name__} comes", self.feed(world._replace(timers=world.timers - {timer}), timer)
         if world.parts:
             rest = world._replace(parts=world.parts - 1)
-            yield "a part of what follows is done", self.feed(rest, reconcile.PartConcluded())
+            yield "a part of what follows is done", rest if rest.parts else rest._replace(sequel=b"")
         if any(write is Write.REST for write in world.waits):
             yield "its members do not confirm its rest", self.feed(world, reconcile.RestOverdue("too few confirm it"))
 
