@@ -66,7 +66,7 @@ class Arrivals:
         self._state = state
 
     def found(self, place: Place) -> list[TaskSpec]:
-        """Takes up a record that was on disk; returns its task, where the configuration does not have it."""
+        """Takes up a record that was on disk; returns its task, if the configuration does not have it."""
         host, task_id, record = self._host, place.task_id, place.record
         if not record.snapshot:
             return []

@@ -101,13 +101,13 @@ class Appraiser(ActorCore):
 
 KEEP = reliable(1024)
 APPRAISED_S = 0.4
-"""So long, in host time, the cost functions of others have; the window for bids is a little longer."""
+"""How long the cost functions of plug-ins have, in host time; the window for bids is a little longer."""
 MOST_APPRAISED = 64
-"""So many tasks may wait for their costs, ..."""
+"""At most this many tasks wait for their costs, ..."""
 MOST_OF_PEER = 16
-"""... and so many of one peer."""
+"""... and this many of one peer."""
 SOUGHT_S = 3.0
-"""So long, in host time, a link to the agent that a task is sent to may take, where there is none."""
+"""How long it may take to link to the agent that a task is sent to, in host time."""
 LINK_LOOK_S = 0.05
 FIRST_LOOK_S = 0.5
 LOOK_S = 2.0
@@ -252,7 +252,7 @@ class TaskMigrator(TaskCore, Task):
             note: why it came to nothing, or what had come between; kept with the account.
             why_not: what to tell the asker; empty: it has moved.
         """
-        self._negotiations.pop(task_id, None)  # of a service that has been started anew since
+        self._negotiations.pop(task_id, None)  # of a service that was started again since
         self._note()
         self._ledgers.add(ledger, note, self.now())
         self._tell(service, task_id, ledger, why_not)

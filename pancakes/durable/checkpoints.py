@@ -151,7 +151,7 @@ def settings_now(snapshot: Snapshot, configured: Mapping[str, Any]) -> tuple[dic
 CHECKPOINT_S: Final = 1.0
 """How often, in host time, a task whose state has changed is written down (`durability = "lazy"`)."""
 AT_ONCE: Final = 20
-"""So many tasks are looked at in one go; a look at a thousand would make all of them 20 ms late, each second."""
+"""How many tasks are looked at in one go; a look at a thousand would make all of them 20 ms late, each second."""
 
 
 class Checkpointing:
@@ -317,7 +317,7 @@ class Deliveries:
     """Gives letters to the tasks of one service. All in that service's actor.
 
     With `durability = "each"` a letter is acknowledged once its effect is on disk. With `"lazy"` that runs ahead of the
-    disk: the letter is kept here until it is written down, and given again to a task that failed and begins anew from
+    disk: the letter is kept here until it is written down, and given again to a task that failed and begins again from
     its checkpoint. So only a crash of the whole agent, or a failure of the service itself, loses what was acknowledged.
 
     Args:
@@ -328,7 +328,7 @@ class Deliveries:
         self._host = host
 
     def arrived(self, came: CameFor) -> None:
-        """Takes a letter; where it cannot be given to the task now, its sender keeps it and sends it again."""
+        """Take a letter; if it cannot be given to the task now, its sender keeps it and sends it again."""
         letter, host = came.letter, self._host
         place = host.places.get(TaskId.parse(letter.task_id))
         if place is None:
@@ -410,7 +410,7 @@ class Deliveries:
             self._say(message.peer, began)
 
     def again(self, place: Place) -> None:
-        """Gives a task that has begun anew what was acknowledged and is not in its checkpoint; all else comes after."""
+        """Give a task that has begun again what was acknowledged and is not in its checkpoint; all else comes after."""
         if place.letters is not None:
             for letter, packet in list(place.letters.kept.values()):
                 self._deliver(place, letter, packet)

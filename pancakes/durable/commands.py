@@ -353,7 +353,7 @@ Described = Callable[[str, Mapping[str, Any]], TaskSpec]
 """Takes the name of a task and its table; returns how to start it, or raises `ControlRefusedError`."""
 
 LET_GO_S: Final = 5.0
-"""An asker is told that a removal waits for guardians that have not let go after so long, in host seconds."""
+"""After this time an asker is told that a removal waits for guardians that have not let go, in host seconds."""
 NOT_ITS_KEYS: Final = ("type", "service", "start", "settings", "rate_hz", "name")
 """Keys of a table `[task.NAME]` that a request to create a task says elsewhere, or cannot say."""
 
@@ -421,7 +421,7 @@ class Creations:
         return self._described(body.target, table)
 
     def _refuse_known(self, task_id: TaskId) -> None:
-        """Raises `ControlRefusedError` where there is such a task here, or is about to be."""
+        """Raise `ControlRefusedError` if there is such a task here, or is about to be."""
         host = self._host
         if host.closing:
             raise ControlRefusedError(f"{host.address} ends: {CLOSES}", "busy")

@@ -287,6 +287,6 @@ class Courier(ActorCore):
         self._send()
 
     def _service_of(self, task_id: TaskId) -> Reference | None:
-        """Returns the service here that has a record of a task, where it runs. Any thread."""
+        """Return the service here that has a record of a task, if it runs. Any thread."""
         service = self._records.service_of(task_id)
         return self.kernel.actor(service) if service else None

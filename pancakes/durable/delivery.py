@@ -34,14 +34,14 @@ RESEND_S: Final = 0.3
 LONGEST_S: Final = 2.4
 """... up to this; from then on neighbours are asked, because the agent that knew where the task is may be gone."""
 ASKED: Final = 16
-"""So many neighbours are asked at a time; of more, each in its turn, so that unused links may end all the same."""
+"""How many neighbours are asked at a time; of more, each in its turn, so that unused links may end all the same."""
 STREAMS: Final = 1024
 """Most streams that a task's duplicate filter remembers; of more, the one not heard from for longest is forgotten."""
 MOST_OF_SENDER: Final = STREAMS // 2
-"""So many of them are of one agent: one that begins stream after stream has only its own forgotten."""
+"""At most this many of them are of one agent: one that begins stream after stream has only its own forgotten."""
 StreamName = Annotated[str, msgspec.Meta(max_length=512)]
 MOST_STREAMS: Final = 1024
-"""An owner is asked about so many streams at once; of the others nothing is known to be lost."""
+"""An owner is asked about at most this many streams at once; of the others nothing is known to be lost."""
 
 
 class PacketId(NamedTuple):
@@ -111,7 +111,7 @@ class AskBegan(msgspec.Struct, frozen=True):
 
 @packet_type("post.streams_began")
 class StreamsBegan(msgspec.Struct, frozen=True):
-    """Says from what state a task began where it is now: so that its senders know what was lost with its last agent.
+    """Says from what state a task began on the agent that has it, so that its senders know what was lost with the last one.
 
     Attributes:
         task_id: the task.
@@ -643,7 +643,7 @@ class Outbox:
         """
         with self._lock:
             self._ending.discard(sender)
-            if fresh or sender not in self._of:  # else it failed and begins anew: its stream has never left
+            if fresh or sender not in self._of:  # else it failed and begins again: its stream has never left
                 self._take_in(sender, posted, fresh)
             if posted is not None:
                 self._look(now_s)

@@ -293,7 +293,7 @@ class HostState:
         self.costs = installed.costs
         self._records = records
         self._lock = threading.Lock()
-        self._hosting: dict[str, None] = {}  # the services that host tasks, also where they are stopped now
+        self._hosting: dict[str, None] = {}  # the services that host tasks, also those that are stopped now
         self._reserved: dict[TaskId, tuple[str, float]] = {}  # for a task of which agent, and until when
         self.readings = OwnReadings(kernel.agent)
         self.measured: MeasuredLoad | None = None

@@ -82,9 +82,9 @@ KEPT_BYTES: Final = 4 * 1024 * 1024
 
 
 MOST_GIVEN: Final = 1024
-"""So many letters of one agent a task has still to look at, ..."""
+"""At most this many letters of one agent wait for a task to look at them, ..."""
 MOST_GIVEN_BYTES: Final = 16 * 1024 * 1024
-"""... and so many bytes of them; of more, the agent keeps them and sends them again. One may always be given."""
+"""... and this many bytes of them; of more, the agent keeps them and sends them again. One may always be given."""
 
 
 class TaskLetters(msgspec.Struct):
@@ -111,7 +111,7 @@ class TaskLetters(msgspec.Struct):
     given_of: dict[str, tuple[int, int]] = {}
 
     def give(self, task: Reference, letter: Letter, packet: Packet | None) -> bool:
-        """Learns that an actor is given a letter; returns False where it has that still to look at, or too many."""
+        """Learns that an actor is given a letter; returns False if it has still to look at that, or at too many."""
         if self.given_to is not task:
             self.given_to, self.given, self.given_of = task, {}, {}
         place = (letter.stream, letter.seq, letter.first)
@@ -151,7 +151,7 @@ class TaskLetters(msgspec.Struct):
             del self.owed[next(iter(self.owed))]
 
     def keep(self, letter: Letter, packet: Packet | None) -> bool:
-        """Keeps a letter that is acknowledged before it is on disk; returns False where there is no room for it."""
+        """Keeps a letter that is acknowledged before it is on disk; returns False if there is no room for it."""
         key = (letter.stream, letter.seq)
         if key not in self.kept:
             if len(self.kept) >= KEPT or self.kept_bytes >= KEPT_BYTES:
@@ -185,7 +185,7 @@ class Move(msgspec.Struct):
     Attributes:
         request: what the neighbours are asked.
         then: a task to start here once the other has gone.
-        answer: the request to answer; None where a rule asked.
+        answer: the request to answer; None: a rule asked.
         dry_run: whether nothing is to be moved.
         ledger: the account as it stands while a migration is under way; None before the first, and between two.
     """
@@ -249,7 +249,7 @@ class OtherOwner(msgspec.Struct, frozen=True):
 
 
 class BeganFrom(msgspec.Struct, frozen=True):
-    """What a task began from where it is owned.
+    """From what state a task began on the agent that owns it.
 
     Attributes:
         epoch_n: the number of the epoch under which it began.
@@ -401,7 +401,7 @@ class Places(dict[TaskId, Place]):
             self._by_name.setdefault(place.task_id.name, []).append(place)
 
     def drop(self, place: Place) -> None:
-        """Forgets a place where nothing has come of what was asked, and of which there is no record."""
+        """Forget a place without a record, if nothing has come of what was asked."""
         if self.pop(place.task_id, None) is not None:
             self._by_name[place.task_id.name].remove(place)
 
@@ -410,7 +410,7 @@ class Places(dict[TaskId, Place]):
         return list(self._by_name.get(name, ()))
 
     def bind(self, name: str) -> None:
-        """Finds out anew which place the slot of a name belongs to: a record has changed, or the slot has."""
+        """Find out again which place the slot of a name belongs to: a record has changed, or the slot has."""
         for place in self._by_name.get(name, ()):
             place.slot = None
         slot = self._slots.get(name)

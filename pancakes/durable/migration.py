@@ -222,7 +222,7 @@ class Mover:
         Args:
             slot: the task.
             body: what is asked for.
-            answer: the request to answer; None where a rule asks.
+            answer: the request to answer; None: a rule asks.
 
         Raises:
             ControlRefusedError: the task cannot move now.
@@ -358,7 +358,7 @@ class Mover:
         host.feed_place(host.places.at[other.name], StartWanted())
 
     def migrator_began(self) -> None:
-        """The migrator has started anew and knows of no negotiation: the requests that wait are answered.
+        """The migrator has started again and knows of no negotiation: the requests that wait are answered.
 
         A migration under way goes on without it, and with it the move.
         """

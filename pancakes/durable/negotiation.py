@@ -43,7 +43,7 @@ class Capability(msgspec.Struct, frozen=True):
         records: for each task of which there is a record here, the service that has it.
         names: which task each name here belongs to: those that run, are stopped, or are about to arrive.
         costs: the cost functions that it knows.
-        battery_level: what is left of its battery, 0 to 1; None where it has none.
+        battery_level: what is left of its battery, 0 to 1; None: it has none.
         reserve_s: the seconds of its newest `reserve`; None: there has been none.
     """
 
@@ -180,7 +180,7 @@ Outcome = Awarded | Exhausted
 class Negotiation:
     """One asking for bids, until the task has moved or stays.
 
-    Each method that may decide something returns an `Outcome`, or None where nothing is decided by it.
+    Each method that may decide something returns an `Outcome`, or None if nothing is decided by it.
 
     Args:
         request: what is asked; sent to each of `asked` by the caller.
@@ -190,8 +190,8 @@ class Negotiation:
         now_s: host time.
         to: the only neighbour to ask; empty: all.
         dry_run: compare, and move nothing.
-        window_s: how long to wait for other answers where a bid has come, in host time.
-        patience_s: how long to wait where none has.
+        window_s: how long to wait for other answers once a bid has come, in host time.
+        patience_s: how long to wait if none has.
         cause: as in `MigrationReport`.
 
     Attributes:
@@ -236,11 +236,11 @@ class Negotiation:
 
     @property
     def chosen(self) -> str:
-        """The neighbour that the migration is under way to, or that has the task; empty where none."""
+        """The neighbour that the migration is under way to, or that has the task; empty: none."""
         return self._chosen
 
     def begin(self, now_s: float) -> Outcome | None:
-        """Begins. To be called before the answers come; decides at once where there is no neighbour to ask."""
+        """Begins. To be called before the answers come; decides at once if there is no neighbour to ask."""
         return None if self.asked else self._close(now_s)
 
     def bid(self, peer: str, cost: float, terms: Mapping[str, float], now_s: float) -> Outcome | None:

@@ -372,9 +372,8 @@ class Births:
         for link in described["peers"]:
             if link["role"] != "agent":
                 self._strangers.add(link["name"])
-            if not self._questions.fault(
-                link["name"], _type_of(place)
-            ):  # it dialled this agent, and says where it can be dialled
+            # It dialled this agent, and says where it can be dialled.
+            if not self._questions.fault(link["name"], _type_of(place)):
                 at.update((reachable(address, link["remote"]), link["name"]) for address in link["addresses"])
         named = (it for it in described["addresses"] if it["static"])
         return list(dict.fromkeys(it["name"] or at.get(it["address"]) or it["address"] for it in named))

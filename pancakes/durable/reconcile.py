@@ -445,7 +445,7 @@ _LIFE_EVENTS: Final = frozenset(get_args(lifecycle.Event))
 
 
 class Step:
-    """One step: what it has changed so far, and what is to be done.
+    """One step: what it has changed so far, and the effects that follow.
 
     Args:
         life: the life of the task; None: it has no place here.
@@ -453,7 +453,7 @@ class Step:
         at: the moment.
 
     Attributes:
-        effects: what is to be done, in this order.
+        effects: what the service carries out, in this order.
     """
 
     def __init__(self, life: Life | None, course: Course, at: Now) -> None:
@@ -1008,7 +1008,7 @@ def handle(life: Life | None, course: Course, event: AnyEvent, at: Now) -> tuple
         at: the moment.
 
     Returns:
-        Its life and course from now on, and what is to be done, in this order.
+        Its life and course from now on, and the effects, in the order in which they are carried out.
     """
     step = Step(life, course, at)
     step.take(event)

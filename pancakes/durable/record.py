@@ -259,7 +259,7 @@ class Lost(msgspec.Struct, frozen=True):
         return (
             f"it may run elsewhere, and {self.story()}. It stays at rest until you decide: where `pancakes task list`"
             f" shows it on no agent, and none that may have it is off or cut off, `pancakes task recover {name} --here`"
-            f" runs it here; where it runs elsewhere, `pancakes task recover {name} --not-here` leaves it there"
+            f" runs it here; if it runs elsewhere, `pancakes task recover {name} --not-here` leaves it there"
         )
 
 

@@ -669,7 +669,7 @@ class Registrar(ActorCore):
         if judged.refusal is not None:
             self._decline(fed.peer, fed.accept, judged.refusal)
             self._forget_unused(entry)
-        else:  # where the task is was asked before room was kept for it
+        else:  # the whereabouts of the task were asked before room was kept for it
             self.feed(entry, replace(fed, event=rules.Confirmed(fed.event)))
 
     def _decline(self, peer: str, body: messages.Accept, refusal: Refusal) -> None:

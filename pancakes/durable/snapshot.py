@@ -28,7 +28,7 @@ from pancakes.util.codecs import MALFORMED, sha256, why_malformed
 LIMIT_BYTES: Final = 16 * 1024 * 1024
 """The largest snapshot that travels."""
 OFFER_BYTES: Final = 4096
-"""So much of its settings and its state a task may tell bidders: each of them gets it."""
+"""The most bytes of its settings and its state that a task tells bidders: each of them gets it."""
 
 
 class PostedTo(msgspec.Struct, frozen=True):
@@ -172,12 +172,12 @@ class Snapshot(msgspec.Struct, frozen=True):
         settings: its settings.
         configured: the settings that its configuration gave it; what differs from these was changed while it ran.
         state: its state.
-        periods_s: the period of each of its periodic handlers, as last rescheduled; infinity where it was paused.
-        posted: the packets that it has sent to other tasks; None in a checkpoint, and where there are none.
+        periods_s: the period of each of its periodic handlers, as last rescheduled; infinity if it was paused.
+        posted: the packets that it has sent to other tasks; None in a checkpoint, or if there are none.
         heard: the duplicate filter: up to which number every packet had its effect, by stream.
         restart: its restart policy, as in `[task.NAME] restart`.
         durability: `lazy` or `each`.
-        migrate: its rule for moving, as in `[task.NAME] migrate`; None where it has none.
+        migrate: its rule for moving, as in `[task.NAME] migrate`; None: it has none.
         guard: how it is guarded; None: it is not.
         rate_hz: the rate that its configuration gave its first timer; None: as its class says.
         created: whether no configuration file names it.
@@ -205,6 +205,20 @@ class Snapshot(msgspec.Struct, frozen=True):
     offers: tuple[str, ...] = ()
     requests: CarriedRequests | None = None
 
+    def offer(self) -> bytes:
+        """Return what bidders are told of it: its settings, and what it offers of its state; see `offer_of`.
+
+        Raises:
+            MigrationError: that is more than may be told.
+        """
+        data = _ENCODE((self.settings, {name: self.state[name] for name in self.offers if name in self.state}))
+        if len(data) > OFFER_BYTES:
+            raise MigrationError(
+                f"the settings of {self.task_id} and what it offers of its state have {len(data)} bytes, and bidders"
+                f" are told {OFFER_BYTES} at most"
+            )
+        return data
+
     def solicit(self, ask: int, cost: CostChoice, rule: MigrationRule | None, tells: bool = True) -> Solicit:
         """Return what agents are asked that may take the task.
 
@@ -212,21 +226,11 @@ class Snapshot(msgspec.Struct, frozen=True):
             ask: number of this asking.
             cost: name of the cost function to use, or the weight of each of several.
             rule: when the task migrates by itself; None: it does not.
-            tells: whether a cost function that is none of the core's is told of the task: its settings, and what it
-                offers of its state; see `offer_of`.
+            tells: whether a cost function that is none of the core's is told of the task.
 
         Raises:
-            MigrationError: that is more than may be told.
+            MigrationError: what it offers is more than may be told.
         """
-        offer = b""
-        if tells and not is_of_core(cost):
-            offer = _ENCODE((self.settings, {name: self.state[name] for name in self.offers if name in self.state}))
-        if len(offer) > OFFER_BYTES:
-            raise MigrationError(
-                f"the settings of {self.task_id} and what it offers of its state have {len(offer)} bytes, and bidders"
-                f" are told {OFFER_BYTES} at most"
-            )
-        least_level, least_s = (rule.least_level, rule.least_reserve_s) if rule is not None else (None, None)
         return Solicit(
             self.task_id,
             ask,
@@ -235,9 +239,9 @@ class Snapshot(msgspec.Struct, frozen=True):
             self.service,
             self.requires,
             cost,
-            least_level,
-            offer,
-            least_reserve_s=least_s,
+            rule.least_level if rule is not None else None,
+            self.offer() if tells and not is_of_core(cost) else b"",
+            least_reserve_s=rule.least_reserve_s if rule is not None else None,
         )
 
     def encode(self) -> bytes:
@@ -295,7 +299,7 @@ def why_unwritable(settings: Mapping[str, Any], state: Mapping[str, Any], error:
     Args:
         settings: the settings, as plain values.
         state: the state, as plain values.
-        error: what was raised where they were encoded.
+        error: what was raised when they were encoded.
     """
     path = codecs.unencodable_in({"settings": settings, "state": state}, _ENCODE)
     return f"{dotted(path)}: {error}" if path else str(error)
@@ -321,9 +325,9 @@ def digest(data: bytes) -> bytes:
 PIECE_BYTES: Final = 64 * 1024
 """How much of a snapshot travels in one packet."""
 MOST_HALF: Final = 4
-"""So many snapshots of one peer may be on their way at a time."""
+"""At most this many snapshots of one peer are on their way at a time, ..."""
 MOST_BYTES: Final = 2 * LIMIT_BYTES
-"""So many bytes these may have."""
+"""... and this many bytes of them."""
 
 
 def cut(task_id: TaskId, stamp: Stamp, whole: bytes) -> list[Piece]:

@@ -177,7 +177,7 @@ def _read(entry: JournalEntry | None) -> Record | None:
 
 LEDGER: Final = "ledger"
 KEPT: Final = 100
-"""So many are kept for each agent; the newest takes the place of the oldest."""
+"""How many are kept for each agent; the newest takes the place of the oldest."""
 
 
 class Kept(msgspec.Struct, frozen=True):
@@ -185,7 +185,7 @@ class Kept(msgspec.Struct, frozen=True):
 
     Attributes:
         number: its place in the order of all moves from this agent, from 1.
-        boot: in which life of the agent: mission time begins anew with each.
+        boot: in which life of the agent: mission time begins again with each.
         mission_s: the mission time at which the move was over.
         reason: why it came to nothing, or (moved all the same) what had come between; else empty.
         ledger: the account.

@@ -56,7 +56,7 @@ def test_a_new_stream_begins_where_the_others_know_the_task_to_be(box):
     box.forwarded(ForwardTo("a/Sink", "b", 3), "a", 0.0)
     box.take_unsent()
     box.post("s/Other", SINK, b"2", "a", 0.0)
-    assert [sent.peer for sent in box.take_unsent()] == ["b"]
+    assert [getattr(sent, "peer", "") for sent in box.take_unsent()] == ["b"]
 
 
 def test_a_task_goes_on_in_its_stream_on_its_new_host(box):
@@ -168,7 +168,7 @@ def test_a_stream_that_nobody_adds_to_is_forgotten_once_all_is_acknowledged(box)
     acknowledge(there, letter, 1)
     there.take_unsent()
     there.post("", SINK, b"2", "c", 0.0)
-    assert [sent.peer for sent in there.take_unsent()] == ["c"]
+    assert [getattr(sent, "peer", "") for sent in there.take_unsent()] == ["c"]
 
 
 def test_stream_that_moves_tells_nothing_of_the_others():
