@@ -26,8 +26,7 @@ from pancakes.config.state_dir import state_dir_of
 from pancakes.control import CONTROLS, Refusal
 from pancakes.durable.answers import Boot, BootMemory, NeighbourUp
 from pancakes.durable.client_service import ClientService
-from pancakes.durable.courier import COURIER, Courier
-from pancakes.durable.delivery import Outbox
+from pancakes.durable.courier import COURIER, Courier, Outbox
 from pancakes.durable.host_state import IMPORTER, HostState, Importer, describe_process
 from pancakes.durable.installed import Installed
 from pancakes.durable.messages import REGISTRAR

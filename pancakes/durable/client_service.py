@@ -23,8 +23,8 @@ from pancakes.durable.arrivals import Arrivals
 from pancakes.durable.bidding_messages import BidAwarded, MigratorBegan, MoveOver
 from pancakes.durable.checkpoints import Checkpointing, Deliveries, carried_of, snapshot_of
 from pancakes.durable.commands import Creations, Described, Recoveries
+from pancakes.durable.courier import Outbox
 from pancakes.durable.courier_messages import AskedBegan, CameFor
-from pancakes.durable.delivery import Outbox
 from pancakes.durable.host_state import HostState, Imported
 from pancakes.durable.hosting import SURE, Pending, Place, Places
 from pancakes.durable.installed import Installed

@@ -1,21 +1,19 @@
-"""Reliable delivery of packets to tasks wherever they run: numbered streams, receipts and duplicate filters.
+"""Reliable delivery of packets to tasks wherever they run: numbered streams, receipts and duplicate filters. Pure.
 
 A sender keeps each letter until it is acknowledged, and sends it again until then, in order. The receiver takes only
 the next letter of each stream, so a late, doubled or reordered letter has no second effect and overtakes nothing. If
 the task has migrated, the agent that had it names the new one, and the sender sends the letter there itself: each
 agent speaks only for itself (docs/protocol.md, letters). A task that sends letters takes its stream along when it
-migrates. All of this is pure, except that the outbox of an agent has a lock.
+migrates.
 """
 
 from __future__ import annotations
 
-import threading
 from collections import OrderedDict
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Annotated, Any, Final, NamedTuple
 
 import msgspec
-from msgspec.structs import replace
 
 from pancakes.durable.record import TaskId
 from pancakes.durable.snapshot import Posted, PostedTo
@@ -111,7 +109,7 @@ class AskBegan(msgspec.Struct, frozen=True):
 
 @packet_type("post.streams_began")
 class StreamsBegan(msgspec.Struct, frozen=True):
-    """Says from what state a task began on the agent that has it, so that its senders know what was lost with the last one.
+    """Says from what state a task began on its agent, so that its senders know what was lost with the last one.
 
     Attributes:
         task_id: the task.
@@ -491,214 +489,3 @@ def _take_first(table: dict[str, Any]) -> str:
     first = next(iter(table))
     del table[first]
     return first
-
-
-class Outbox:
-    """The streams of one agent: publishers fill it, senders change it as they move, and the courier empties it.
-
-    Any thread. Its lock is held for its own tables alone.
-
-    A stream to which no task adds any more, because its task has gone on in another one, is kept until all of it is
-    acknowledged. What a task sends on its way out (a thread of its own, its `on_stop`) goes in the common stream: of
-    streams of its own, one for each move, there would be ever more if no agent acknowledges them.
-
-    Args:
-        name: begins the names of all streams that are begun here; no other start of any agent ever had it.
-        agent: the agent.
-        secret: what no other agent can guess; the secret of each stream is drawn from it.
-
-    Attributes:
-        name: the same name.
-        agent: the same agent.
-    """
-
-    def __init__(self, name: str, agent: str, secret: str = "") -> None:
-        self.name = name
-        self.agent = agent
-        self._secret = secret
-        self._begun = 0
-        self._lock = threading.Lock()
-        self._unsent: list[ToSend] = []  # in the order in which they were numbered
-        self._common = self._begin(name)
-        self._streams: dict[str, Outgoing] = {self._common.stream: self._common}
-        self._named: dict[str, Outgoing] = {}  # by what they are called in letters
-        self._of: dict[str, Outgoing] = {}  # the streams that tasks add to, by the sender's id
-        self._left: dict[str, Outgoing | None] = {}  # those of tasks that are paused for a migration
-        self._ending: set[str] = set()  # tasks that have left for good, and whose actor has not ended
-
-    def post(self, sender: str, task_id: TaskId, packet: bytes, host: str, now_s: float) -> None:
-        """Take a packet for a task.
-
-        Args:
-            sender: the task that sends it, as `birthplace/name`; empty: the sender does not move.
-            task_id: the task that it is for.
-            packet: the packet, as the wire writes it.
-            host: where that task is, as far as the caller knows, if nothing that is kept here was ever sent to it.
-            now_s: host time.
-
-        Raises:
-            MailboxFullError: too many of this sender wait for this task already.
-        """
-        with self._lock:
-            stream = self._stream_of(sender)
-            self._unsent += stream.post(task_id, packet, self._host_of(stream, task_id) or host, now_s)
-            self._named[stream.name_for(str(task_id))] = stream
-
-    def take_unsent(self) -> Sequence[ToSend]:
-        """Return what is to be sent now, in order, and forget that."""
-        with self._lock:
-            unsent, self._unsent = self._unsent, []
-        return unsent
-
-    def acknowledged(self, receipt: Receipt, peer: str, now_s: float) -> None:
-        """Forget what has had its effect; what follows may be sent."""
-        with self._lock:
-            if (stream := self._named.get(receipt.stream)) is not None:
-                self._unsent += stream.acknowledged(receipt, peer, now_s)
-                self._drop_done(stream)
-
-    def unsure_of(self, task_id: str, epoch_n: int) -> tuple[str, ...]:
-        """Return the streams, as letters to a task name them, whose letters may be lost now that an epoch owns it."""
-        with self._lock:
-            streams = self._streams.values()
-            return tuple(stream.name_for(task_id) for stream in streams if stream.is_unsure_of(task_id, epoch_n))
-
-    def began(self, news: StreamsBegan, peer: str) -> None:
-        """Learn from what state a task began where it is now."""
-        with self._lock:
-            for stream in self._streams.values():
-                stream.began(news, peer)
-
-    def take_lost(self) -> list[LostLetters]:
-        """Return what is known to be lost, and forget it."""
-        with self._lock:
-            senders = {stream.stream: sender for sender, stream in self._of.items()}
-            return [
-                replace(lost, sender=senders.get(name, ""))
-                for name, stream in self._streams.items()
-                for lost in stream.take_lost()
-            ]
-
-    def forwarded(self, news: ForwardTo, peer: str, now_s: float) -> None:
-        """Learn of a peer where a task has gone; what waits for it is sent there."""
-        with self._lock:
-            for stream in self._streams.values():
-                self._unsent += stream.forwarded(news, peer, now_s)
-
-    def look(self, now_s: float) -> None:
-        """Look for what was not acknowledged for too long: that is to be sent again."""
-        with self._lock:
-            self._look(now_s)
-
-    def waiting(self) -> dict[str, int]:
-        """Return how many packets wait for their acknowledgement, by the task that they are for."""
-        waiting: dict[str, int] = {}
-        with self._lock:
-            for stream in self._streams.values():
-                for task_id, count in stream.waiting().items():
-                    waiting[task_id] = waiting.get(task_id, 0) + count
-        return waiting
-
-    # A sender that moves ---------------------------------------------------------------------------------------
-
-    def leave(self, sender: str) -> Posted | None:
-        """A sender is paused and is about to leave: return its stream, to which nothing may be added from now on.
-
-        What is in it is sent all the same: its new host will send it again under the same numbers.
-        """
-        with self._lock:
-            if sender not in self._left:
-                self._left[sender] = self._of.pop(sender, None)
-            stream = self._left[sender]
-            return stream.posted() if stream is not None else None
-
-    def stay(self, sender: str) -> None:
-        """It does not leave after all, and goes on with its stream."""
-        with self._lock:
-            if (stream := self._left.pop(sender, None)) is not None:
-                self._of[sender] = stream
-
-    def gone(self, sender: str, ends: bool = False) -> None:
-        """It has left for good, with its stream; `ends`: its actor is still to end here, and `ended` is to follow."""
-        with self._lock:
-            if (stream := self._left.pop(sender, None)) is not None:
-                self._forget(stream)
-            if ends:
-                self._ending.add(sender)
-
-    def ended(self, sender: str) -> None:
-        """Nothing of a sender that has left runs here any more."""
-        with self._lock:
-            self._ending.discard(sender)
-
-    def arrive(self, sender: str, posted: Posted | None, fresh: bool, now_s: float) -> None:
-        """A sender begins from a snapshot.
-
-        Args:
-            sender: the task.
-            posted: the stream that is in the snapshot.
-            fresh: whether nothing of it has run since; else numbers may have been given out that the snapshot does not
-                know of, so that only what is in it may be sent again, and the task begins a new stream.
-            now_s: host time.
-        """
-        with self._lock:
-            self._ending.discard(sender)
-            if fresh or sender not in self._of:  # else it failed and begins again: its stream has never left
-                self._take_in(sender, posted, fresh)
-            if posted is not None:
-                self._look(now_s)
-
-    def _take_in(self, sender: str, posted: Posted | None, fresh: bool) -> None:
-        former = [self._left.pop(sender, None), self._of.pop(sender, None)]
-        if posted is not None:
-            if fresh or posted.stream not in self._streams:
-                arrived = self._streams[posted.stream] = Outgoing.of(posted, self.agent)
-                self._named.update(dict.fromkeys(arrived.names(), arrived))
-            stream = self._streams[posted.stream]
-            if fresh:
-                self._of[sender] = stream
-            former.append(stream)
-        for done in former:
-            if done is not None:
-                self._drop_done(done)
-
-    # With the lock held ----------------------------------------------------------------------------------------
-
-    def _look(self, now_s: float) -> None:
-        for stream in self._streams.values():
-            self._unsent += stream.due(now_s)
-
-    def _host_of(self, stream: Outgoing, task_id: TaskId) -> str:
-        """Return where a task is thought to be; empty: nothing that is kept here was ever sent to it."""
-        own = stream.host_of(task_id)
-        known = [own] if own is not None else filter(None, (it.host_of(task_id) for it in self._streams.values()))
-        return max(known, default=(-1, ""))[1]
-
-    def _stream_of(self, sender: str) -> Outgoing:
-        if not sender or sender in self._left or sender in self._ending:
-            return self._common
-        stream = self._of.get(sender)
-        if stream is None:
-            self._begun += 1
-            stream = self._of[sender] = self._begin(f"{self.name}/{self._begun}")
-            self._streams[stream.stream] = stream
-        return stream
-
-    def _begin(self, name: str) -> Outgoing:
-        # A secret of its own, as it moves with its sender, and the agent there learns it.
-        secret = blake2s(name.encode(), key=self._secret.encode(), digest_size=16).hexdigest()
-        return Outgoing(f"{name}#{secret}", self.agent)
-
-    def _drop_done(self, stream: Outgoing) -> None:
-        is_kept = self._streams.get(stream.stream) is stream  # and not another one, that has come under its name
-        if is_kept and stream is not self._common and not stream.waiting() and stream not in self._open():
-            self._forget(stream)
-
-    def _forget(self, stream: Outgoing) -> None:
-        self._streams.pop(stream.stream, None)
-        for name in stream.names():
-            self._named.pop(name, None)
-
-    def _open(self) -> Iterator[Outgoing | None]:
-        yield from self._of.values()
-        yield from self._left.values()

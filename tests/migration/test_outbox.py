@@ -4,7 +4,8 @@ import gc
 
 import pytest
 
-from pancakes.durable.delivery import ForwardTo, Outbox, Outgoing, OutgoingLetter, Receipt
+from pancakes.durable.courier import Outbox
+from pancakes.durable.delivery import ForwardTo, Outgoing, OutgoingLetter, Receipt
 from pancakes.durable.record import TaskId
 
 SINK = TaskId("a", "Sink")

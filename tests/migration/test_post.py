@@ -6,6 +6,7 @@ import pytest
 from migration.bad_networks import NAME, SCAN, STREAM, post_over_a_bad_network
 from seeded import for_each
 
+from pancakes.durable.courier import Outbox
 from pancakes.durable.delivery import (
     ASKED,
     IN_FLIGHT,
@@ -19,7 +20,6 @@ from pancakes.durable.delivery import (
     Incoming,
     Letter,
     LostLetters,
-    Outbox,
     Outgoing,
     OutgoingLetter,
     Receipt,
