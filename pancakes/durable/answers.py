@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import msgspec
 
 from pancakes.durable import rules
-from pancakes.durable.courier_messages import COURIER
+from pancakes.durable.delivery import COURIER
 from pancakes.durable.entry import Entry, Fed, right_of
 from pancakes.durable.messages import MOST_ASKED, REGISTRAR, BootRemembered, Fact, Known, WhoHas
 from pancakes.durable.peer_talk import LastSaid

@@ -13,7 +13,7 @@ from msgspec.structs import replace
 
 from pancakes.control import Refusal, Revive
 from pancakes.durable.checkpoints import carried_of, settings_now, spec_of
-from pancakes.durable.courier_messages import COURIER, SendUnsent
+from pancakes.durable.delivery import COURIER, SendUnsent
 from pancakes.durable.host_state import HostState
 from pancakes.durable.hosting import SURE, BeganFrom, Place
 from pancakes.durable.installed import Installed

@@ -14,8 +14,17 @@ from typing import TYPE_CHECKING, Any, Final
 import msgspec
 from msgspec.structs import asdict, replace
 
-from pancakes.durable.courier_messages import COURIER, AskedBegan, CameFor, Say
-from pancakes.durable.delivery import ForwardTo, Letter, PacketId, Receipt, StreamsBegan
+from pancakes.durable.delivery import (
+    COURIER,
+    AskedBegan,
+    CameFor,
+    ForwardTo,
+    Letter,
+    PacketId,
+    Receipt,
+    Say,
+    StreamsBegan,
+)
 from pancakes.durable.hosting import BeganFrom, LastCheckpoint, Place, TaskLetters, plain_of
 from pancakes.durable.installed import Installed
 from pancakes.durable.messages import REGISTRAR

@@ -352,8 +352,6 @@ class Recoveries:
 Described = Callable[[str, Mapping[str, Any]], TaskSpec]
 """Takes the name of a task and its table; returns how to start it, or raises `ControlRefusedError`."""
 
-LET_GO_S: Final = 5.0
-"""After this time an asker is told that a removal waits for guardians that have not let go, in host seconds."""
 NOT_ITS_KEYS: Final = ("type", "service", "start", "settings", "rate_hz", "name")
 """Keys of a table `[task.NAME]` that a request to create a task says elsewhere, or cannot say."""
 
@@ -514,7 +512,10 @@ class Creations:
         host, task_id, record = self._host, place.task_id, place.record
         if not record.owned:
             self._unreserve(task_id)
-            host.reply(asked.request, Refusal("failed", f"{task_id} is not created: {place.course.trouble or why_not}"))
+            host.reply(
+                asked.request,
+                Refusal("failed", f"{task_id} is not created: {self._records.trouble(task_id) or why_not}"),
+            )
             return
         host.log("info", f"{task_id} was created on {host.agent}, as {asked.request.by} asked")
         told = {"task": task_id.name, "type": asked.spec.type, "epoch": record.epoch.n}
@@ -544,8 +545,6 @@ class Creations:
         self._host.tell_asked("remove", place.task_id.name, request)
         place.removal, place.course = request, replace(place.course, removing=True)
         host.look_after(place, request)
-        if place.record.guarded:
-            host.after_host(LET_GO_S, partial(self._tell_waiting, place, request))
         if slot.life.state is State.STOPPED:
             self._go_on(place)
         else:
@@ -616,12 +615,6 @@ class Creations:
 
     def _end(self, place: Place) -> None:
         place.removal, place.course = None, replace(place.course, removing=False)
-
-    def _tell_waiting(self, place: Place, request: Request) -> None:
-        if place.removal == request and self._host.waits(request):
-            members = " and ".join(sorted({one.agent for one in place.record.members} - {self._host.agent}))
-            text = f"{place.task_id} is stopped, and is removed once more than half of its guardians let go of it"
-            self._host.put_off(request, f"{text} ({members})")
 
     # ----------------------------------------------------------------------------------------------------------
 

@@ -13,17 +13,21 @@ from typing import Any, Final
 from msgspec.structs import replace
 
 from pancakes.durable.answers import fact_of
-from pancakes.durable.courier_messages import COURIER, AskedBegan, CameFor, Say, SendUnsent
 from pancakes.durable.delivery import (
+    COURIER,
     MOST_STREAMS,
     RESEND_S,
     AskBegan,
+    AskedBegan,
+    CameFor,
     ForwardTo,
     Letter,
     LostLetters,
     Outgoing,
     Receipt,
+    Say,
     Seek,
+    SendUnsent,
     StreamsBegan,
     ToSend,
     asked_now,

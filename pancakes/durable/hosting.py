@@ -285,18 +285,20 @@ SURE: Final = Unsure()
 """Its agent knows what it must know."""
 
 
-class Pending(msgspec.Struct, frozen=True):
+class Pending(msgspec.Struct):
     """A write that the registrar was told of.
 
     Attributes:
         place: the place of its task.
         write: what it is for, if the machine of the task asked for it; None: something else did.
         then: hears what became of it; None: the machine does.
+        written: whether it is on disk, or never will be.
     """
 
     place: Place
     write: Write | None = None
     then: Callable[[Outcome, str], None] | None = None
+    written: bool = False
 
 
 class Place(msgspec.Struct):

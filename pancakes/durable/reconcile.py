@@ -384,7 +384,6 @@ class Course(msgspec.Struct, frozen=True):
         record: what is on disk.
         desired: what its actor is to do.
         pending: the writes that are under way.
-        trouble: why a write failed last; empty: it did not.
         asks: the start waits for the writes before it; whether it was running, and failed. None: no start waits.
         granted: the start has leave, and waits until the actor may run.
         starts: it is to be started as soon as its actor may run.
@@ -401,7 +400,6 @@ class Course(msgspec.Struct, frozen=True):
     record: Record
     desired: Desired = Desired.END
     pending: tuple[Write, ...] = ()
-    trouble: str = ""
     asks: bool | None = None
     granted: bool = False
     starts: bool = False
@@ -727,7 +725,6 @@ def _came(step: Step, event: Came) -> None:
             if write in pending:
                 pending.remove(write)
             step.change(pending=tuple(pending))
-        step.change(trouble=why if outcome in (Outcome.DELAYED, Outcome.FAILED) else "")
         OUTCOMES[write](step, outcome, why)
     if record.owned and (not before.owned or before.epoch != record.epoch):
         _is_owner(step, before)
