@@ -227,7 +227,7 @@ class ClientServiceCore(ServiceCore):
 
     def _step(self, place: Place, event: AnyEvent) -> None:
         slot, before = place.slot, place.course
-        at = Now(self.agent, self.kernel.host.now(), self.keeper.draw, self.closing)
+        at = Now(self.agent, self.kernel.host.now(), self.keeper.draw, self.closing, place.removal is not None)
         life, place.course, effects = handle(slot.life if slot is not None else None, place.course, event, at)
         if slot is not None and life is not None:
             slot.life = life

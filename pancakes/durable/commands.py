@@ -543,7 +543,7 @@ class Creations:
             host.reply(request, result={"task_id": str(place.task_id)})
             return
         self._host.tell_asked("remove", place.task_id.name, request)
-        place.removal, place.course = request, replace(place.course, removing=True)
+        place.removal = request
         host.look_after(place, request)
         if slot.life.state is State.STOPPED:
             self._go_on(place)
@@ -581,7 +581,7 @@ class Creations:
         if place.removal != answer.asker:
             return False
         if answer.reason:
-            self._end(place)  # it is stuck, say
+            place.removal = None  # it is stuck, say
             return False
         if place.slot is not None:
             waiting, place.slot.commands = place.slot.commands, ()
@@ -602,19 +602,16 @@ class Creations:
             return
         host, task_id = self._host, place.task_id
         if outcome is Outcome.COUNTS:
-            self._end(place)
+            place.removal = None
             host.feed_place(place, Removed())
             host.log("info", f"{task_id} was removed from {host.agent}, as {request.by} asked")
             host.event("task_removed", task=task_id.name, by=request.by, number=request.number)
             self._account(task_id, request, "removed", "")
             host.reply(request, result={"task_id": str(task_id)})
         elif outcome in (Outcome.FAILED, Outcome.DECLINED, Outcome.LAPSED):
-            self._end(place)
+            place.removal = None
             text = f"{task_id} is not removed: {why or 'it was decided otherwise meanwhile'}"
             host.reply(request, Refusal("failed", text))
-
-    def _end(self, place: Place) -> None:
-        place.removal, place.course = None, replace(place.course, removing=False)
 
     # ----------------------------------------------------------------------------------------------------------
 

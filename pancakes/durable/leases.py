@@ -24,6 +24,7 @@ from pancakes.durable.register import (
     Register,
     Wanted,
     is_quorum,
+    members_in,
 )
 from pancakes.durable.snapshot import rules_of
 from pancakes.errors import MigrationError
@@ -411,15 +412,12 @@ class GuardNote(msgspec.Struct, frozen=True):
     as_of_s: Mapping[int, float]
     copied: bool = False
 
-    @property
-    def members(self) -> list[Identity]:
-        """All members, each once."""
-        return list(dict.fromkeys(member for one in self.register.sets for member in one))
-
     def answering(self, now_s: float) -> int:
         """Return how many members have said something within a lease."""
         me = self.register.owner
-        return sum(one == me or now_s - self.heard_s.get(one, -1e9) < self.lease_s for one in self.members)
+        return sum(
+            one == me or now_s - self.heard_s.get(one, -1e9) < self.lease_s for one in members_in(self.register.sets)
+        )
 
     @property
     def replicated_no(self) -> int:
@@ -460,6 +458,6 @@ class GuardNote(msgspec.Struct, frozen=True):
                     "age_s": self._age_s(self.has.get(one, -1), now_s),
                     "silent_s": now_s - self.heard_s.get(one, now_s) if one != self.register.owner else 0.0,
                 }
-                for one in self.members
+                for one in members_in(self.register.sets)
             ],
         }

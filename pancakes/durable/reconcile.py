@@ -366,13 +366,11 @@ class Moving(msgspec.Struct, frozen=True):
 
     Attributes:
         heir: the agent that is to have the task.
-        number: names the migration.
         stage: how far it is.
         refusal: why it comes to nothing, once that is known.
     """
 
     heir: Identity
-    number: int
     stage: Stage = Stage.FREEZING
     refusal: Refusal | None = None
 
@@ -393,8 +391,7 @@ class Course(msgspec.Struct, frozen=True):
         stale: its actor carries what is not to be written any more.
         fresh: it has come from another agent, and has not begun here.
         moving: its migration from here; None: none.
-        moves: how many there were.
-        removing: it is to be removed, which waits for its members.
+        moves: how many there were; that numbers the last one.
     """
 
     record: Record
@@ -410,7 +407,6 @@ class Course(msgspec.Struct, frozen=True):
     fresh: bool = False
     moving: Moving | None = None
     moves: int = 0
-    removing: bool = False
 
     @property
     def settled(self) -> bool:
@@ -431,12 +427,14 @@ class Now(msgspec.Struct, frozen=True):
         now_s: host time.
         draw: draws the length of a pause.
         closing: whether the task's service ends.
+        removing: whether it is being removed, which waits for its members.
     """
 
     me: str
     now_s: float
     draw: Draw
     closing: bool
+    removing: bool = False
 
 
 _LIFE_EVENTS: Final = frozenset(get_args(lifecycle.Event))
@@ -729,7 +727,7 @@ def _came(step: Step, event: Came) -> None:
     if record.owned and (not before.owned or before.epoch != record.epoch):
         _is_owner(step, before)
     elif before.owned and not record.owned:
-        if not (record.removed and step.course.removing):  # else it is here until its members know
+        if not (record.removed and step.at.removing):  # else it is here until its members know
             _has_left(step, before)
     elif before.here and not record.here:
         _is_elsewhere(step, before)
@@ -822,9 +820,8 @@ def _award(step: Step, event: Award) -> None:
     elif course.moving is not None:
         step.do(AttemptFailed("", Refusal("conflict", f"{task_id} is being handed over already")))
     else:
-        number = course.moves + 1
-        step.change(moves=number, moving=Moving(event.heir, number))
-        step.do(Freeze(number))
+        step.change(moves=course.moves + 1, moving=Moving(event.heir))
+        step.do(Freeze(step.course.moves))
 
 
 def _stood_still(step: Step, event: StoodStill) -> None:
@@ -844,8 +841,7 @@ def _stood_still(step: Step, event: StoodStill) -> None:
 
 def _still_overdue(step: Step, event: StillOverdue) -> None:
     """A task that does not come back from what it is doing cannot migrate."""
-    moving = step.course.moving
-    if moving is not None and moving.number == event.number:
+    if event.number == step.course.moves:
         _freeze_failed(step, FreezeFailed("it is stuck"))
 
 
@@ -868,7 +864,7 @@ def _freeze_failed(step: Step, event: FreezeFailed) -> None:
 
 def _give_up_due(step: Step, event: GiveUpDue) -> None:
     moving = step.course.moving
-    if moving is not None and moving.number == event.number and moving.stage is Stage.OFFERED:
+    if moving is not None and step.course.moves == event.number and moving.stage is Stage.OFFERED:
         if step.record.standing is Standing.OFFERED:
             step.change(moving=replace(moving, refusal=Refusal("unable", event.reason)))
             step.write(Write.GIVE_UP, rules.GiveUp())
@@ -932,7 +928,7 @@ def _at_rest(step: Step, outcome: Outcome, why: str) -> None:
         step.change(rests_left=max(0, step.course.rests_left - 1))
     if Write.REST in step.course.pending or (outcome is not Outcome.WRITTEN and step.course.rests_left):
         return  # a later one says how it rests
-    waits = step.record.guarded and asked and not step.course.removing
+    waits = step.record.guarded and asked and not step.at.removing
     if (outcome is Outcome.WRITTEN and not waits) or outcome is Outcome.COUNTS:
         _written(step)
     elif outcome is Outcome.LAPSED:
@@ -950,7 +946,7 @@ def _offered(step: Step, outcome: Outcome, why: str) -> None:
     if outcome is Outcome.WRITTEN:
         step.change(moving=replace(moving, stage=Stage.OFFERED))
         wait_s = TIMES.prepare_s + TIMES.transfer_s(len(step.record.snapshot))
-        step.do(After(wait_s, GiveUpDue(moving.number, f"did not ask for the task within {wait_s:.1f} s")))
+        step.do(After(wait_s, GiveUpDue(step.course.moves, f"did not ask for the task within {wait_s:.1f} s")))
     elif outcome in (Outcome.FAILED, Outcome.DECLINED):
         step.change(moving=None)
         step.do(Resume())
@@ -960,9 +956,8 @@ def _offered(step: Step, outcome: Outcome, why: str) -> None:
 
 def _given_up(step: Step, outcome: Outcome, why: str) -> None:
     """An offer that cannot be taken back is tried again."""
-    moving = step.course.moving
-    if outcome is Outcome.FAILED and moving is not None:
-        step.do(After(TIMES.retry_write_s, GiveUpDue(moving.number, why)))
+    if outcome is Outcome.FAILED and step.course.moving is not None:
+        step.do(After(TIMES.retry_write_s, GiveUpDue(step.course.moves, why)))
 
 
 OUTCOMES: Final[Mapping[Write, Callable[[Step, Outcome, str], None]]] = {

@@ -22,6 +22,7 @@ from pancakes.durable.register import (
     Register,
     Standing,
     Wanted,
+    members_in,
     standing_of,
 )
 from pancakes.errors import MigrationError
@@ -155,7 +156,7 @@ class Record(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     @property
     def members(self) -> list[Identity]:
         """All members, each once, in the order in which they were chosen."""
-        return list(dict.fromkeys(member for one in self.register.sets for member in one))
+        return members_in(self.register.sets)
 
     @property
     def peer(self) -> str:

@@ -38,6 +38,7 @@ from pancakes.durable.register import (
     Stamp,
     Standing,
     Wanted,
+    members_in,
 )
 from pancakes.durable.register_messages import (
     AskAbout,
@@ -503,7 +504,7 @@ class Registrar(ActorCore):
                     told = entry.newest_told[1] if entry.newest_told[0] == message.epoch else -1
                     self.talk.to(owner, messages.Accepted(task_id, *message, told))
             case rules.Prepare():
-                for member in dict.fromkeys(it for one in message.sets for it in one):
+                for member in members_in(message.sets):
                     if member != self.me:
                         self.talk.to(member, messages.Prepare(task_id, kind, *message))
                     elif entry.register != BLANK or entry.memory.promises:

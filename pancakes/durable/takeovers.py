@@ -20,7 +20,18 @@ from pancakes.durable.messages import REGISTRAR, Fact, WhoHas, is_for
 from pancakes.durable.origins import Origins
 from pancakes.durable.peer_talk import LastSaid
 from pancakes.durable.record import TaskId
-from pancakes.durable.register import ANYONE, NO_EPOCH, Epoch, Identity, Register, Sets, Standing, Wanted, is_quorum
+from pancakes.durable.register import (
+    ANYONE,
+    NO_EPOCH,
+    Epoch,
+    Identity,
+    Register,
+    Sets,
+    Standing,
+    Wanted,
+    is_quorum,
+    members_in,
+)
 from pancakes.durable.rules import MOST_STEP
 from pancakes.durable.snapshot import Snapshot, rules_of
 from pancakes.errors import ControlRefusedError, MigrationError
@@ -105,7 +116,7 @@ class Takeovers:
         registrar, record = self._registrar, entry.record
         register, me, task_id = record.register, registrar.me, record.task_id
         wait_s = PROMISED_S if promised and register.heir != ANYONE else 0.0
-        members = [it for one in register.sets for it in one]
+        members = members_in(register.sets)
         known = self._orphans.get(task_id)
         if known is not None and me in members:
             known.floor = max(known.floor, record.seen)
@@ -182,7 +193,7 @@ class Takeovers:
         if orphan.negotiating_s is not None and now_s - orphan.negotiating_s > NEGOTIATED_S:
             orphan.negotiating_s = None
         orphan.over = {registrar.me}
-        for member in dict.fromkeys(it for one in orphan.sets for it in one):
+        for member in members_in(orphan.sets):
             if member != registrar.me and registrar.talk.connected(member.agent):
                 registrar.talk.tell(member.agent, REGISTRAR, WhoHas((task_id,), silent=True))
         members = entry.record.members
@@ -193,7 +204,7 @@ class Takeovers:
     def asks(self, peer: str, task_id: TaskId) -> None:
         """Another member asks: it is the one that looks for a new owner, unless it dies too."""
         orphan = self._orphans.get(task_id)
-        is_member = orphan is not None and peer in {it.agent for one in orphan.sets for it in one}
+        is_member = orphan is not None and peer in {it.agent for it in members_in(orphan.sets)}
         if orphan is not None and is_member and orphan.negotiating_s is None:
             self._later(task_id, orphan, max(1.0, orphan.rule.lease_s / 2))
 
@@ -201,7 +212,7 @@ class Takeovers:
         """Another member says what it knows."""
         task_id = fact.task_id
         orphan, entry = self._orphans.get(task_id), self._registrar.entries.get(task_id)
-        if orphan is None or entry is None or by not in {it for one in orphan.sets for it in one}:
+        if orphan is None or entry is None or by not in members_in(orphan.sets):
             return
         if fact.epoch.n > entry.record.seen.n + MOST_STEP:
             return
@@ -212,7 +223,7 @@ class Takeovers:
         if register.wanted is not Wanted.RUNNING and register.stamp >= orphan.held[0].stamp:
             self._drop(task_id)
             return
-        if self._registrar.me not in {it for one in orphan.sets for it in one}:
+        if self._registrar.me not in members_in(orphan.sets):
             self._drop(task_id)  # another one has taken its place
             return
         if not fact.lease:
@@ -305,7 +316,7 @@ class Takeovers:
             return
         entry = registrar.entries.get(call.task_id)
         members = entry.record.members if entry is not None and registrar.me in entry.record.members else []
-        known = members or [it for one in call.sets for it in one]
+        known = members or members_in(call.sets)
         if peer not in {it.agent for it in known}:
             self._not_believed(peer, call.task_id, f"{peer} does not guard it")
             return
@@ -416,7 +427,7 @@ class Takeovers:
     def _look_at_polled(self, task_id: TaskId, orphan: _Orphan) -> None:
         if orphan.asked is None or orphan.negotiating_s is not None:
             return
-        members = list(dict.fromkeys(it for one in orphan.sets for it in one))
+        members = members_in(orphan.sets)
         silent = ", ".join(sorted(it.agent for it in members if it not in orphan.over))
         known = f"{len(orphan.over)} of its {len(members)} guardians say that its owner is silent"
         self._answer(orphan, f"{task_id} is not taken over: {known}, and not {silent}")

@@ -276,9 +276,7 @@ def test_answer_to_an_older_question_means_nothing() -> None:
 
 def test_heir_that_does_not_ask_loses_the_offer() -> None:
     it = bench().moving()
-    moving = it.course.moving
-    assert moving is not None
-    it.feed(GiveUpDue(moving.number, "did not ask for the task within 5.0 s"))
+    it.feed(GiveUpDue(it.course.moves, "did not ask for the task within 5.0 s"))
     assert it.of(Tell) == Tell(Write.GIVE_UP, rules.GiveUp())
     it.came(BACK, Desired.RUN, (Write.GIVE_UP, Outcome.WRITTEN, ""), (Write.GIVE_UP, Outcome.COUNTS, ""))
     assert isinstance(it.of(Resume), Resume)
