@@ -407,18 +407,15 @@ class HostState:
         if fault := self._kernel.access.fault(peer, "host", request.type):
             return Refusal("forbidden", fault)
         registry = self._kernel.registry
-        holder = self._holder_of(request.task_id.name)
-        version, fault = self._installed.version_of(request.type), self._installed.fault_of(request.type)
-        recorded = self._records.service_of(request.task_id)
         reserve = self.energy_reserve
         capability = Capability(
             role=self._role,
             devices=tuple(registry.device_types()),
-            types={request.type: version} if version is not None else {},
-            faults={request.type: fault} if fault else {},
+            version=self._installed.version_of(request.type),
+            fault=self._installed.fault_of(request.type),
             services=tuple(self._running()),
-            records={request.task_id: recorded} if recorded else {},
-            names={holder.name: holder} if holder is not None else {},
+            recorded=self._records.service_of(request.task_id),
+            holder=self._holder_of(request.task_id.name),
             costs=tuple(self.costs()),
             battery_level=self.battery_level,
             reserve_s=reserve.seconds if reserve is not None else None,

@@ -32,16 +32,16 @@ RESERVE_FACTOR: Final = 2.0
 
 
 class Capability(msgspec.Struct, frozen=True):
-    """What an agent has to offer to a task, at the moment of asking.
+    """What an agent has to offer to one task, at the moment of asking.
 
     Attributes:
         role: its role on the mesh.
         devices: the types of its devices.
-        types: the task types that it knows, with the version of the distribution they come from.
-        faults: for each task type that is installed and cannot be loaded, why.
+        version: the version of the distribution that the task's type comes from here; None: it is not known here.
+        fault: why that type cannot be loaded, if it is installed; empty: it can, or is not.
         services: the services that run here and take tasks in.
-        records: for each task of which there is a record here, the service that has it.
-        names: which task each name here belongs to: those that run, are stopped, or are about to arrive.
+        recorded: the service that has a record of the task here; empty: none has.
+        holder: the task here that has the task's name, which runs, is stopped, or is about to arrive; None: none.
         costs: the cost functions that it knows.
         battery_level: what is left of its battery, 0 to 1; None: it has none.
         reserve_s: the seconds of its newest `reserve`; None: there has been none.
@@ -49,11 +49,11 @@ class Capability(msgspec.Struct, frozen=True):
 
     role: str = HOST_ROLE
     devices: tuple[str, ...] = ()
-    types: Mapping[str, str] = msgspec.field(default_factory=dict)
-    faults: Mapping[str, str] = msgspec.field(default_factory=dict)
+    version: str | None = None
+    fault: str = ""
     services: tuple[str, ...] = ("client",)
-    records: Mapping[TaskId, str] = msgspec.field(default_factory=dict)
-    names: Mapping[str, TaskId] = msgspec.field(default_factory=dict)
+    recorded: str = ""
+    holder: TaskId | None = None
     costs: tuple[str, ...] = ("tasks",)
     battery_level: float | None = None
     reserve_s: float | None = None
@@ -82,9 +82,8 @@ class Capability(msgspec.Struct, frozen=True):
         if request.service not in self.services:
             there = f"only {', '.join(self.services)}" if self.services else "nor any other"
             return f"runs no service {request.service!r} that takes tasks in, {there}"
-        record = self.records.get(request.task_id, request.service)
-        if record != request.service:
-            return f"has a record of {request.task_id} in its service {record!r}, not in {request.service!r}"
+        if self.recorded not in ("", request.service):
+            return f"has a record of {request.task_id} in its service {self.recorded!r}, not in {request.service!r}"
         return ""
 
     def _devices(self, request: Solicit) -> str:
@@ -95,18 +94,16 @@ class Capability(msgspec.Struct, frozen=True):
         return f"lacks the {kind} {', '.join(lacking)}"
 
     def _type(self, request: Solicit) -> str:
-        here = self.types.get(request.type)
-        if here is None:
-            return self.faults.get(request.type, f"knows no task type {request.type!r}")
-        if not compatible(request.version, here):
-            return f"has {request.type} in version {here}, not {request.version}"
+        if self.version is None:
+            return self.fault or f"knows no task type {request.type!r}"
+        if not compatible(request.version, self.version):
+            return f"has {request.type} in version {self.version}, not {request.version}"
         return ""
 
     def _name(self, request: Solicit) -> str:
-        holder = self.names.get(request.task_id.name)
-        if holder is None or holder == request.task_id:
+        if self.holder in (None, request.task_id):
             return ""
-        return f"has a task named {request.task_id.name} already ({holder})"
+        return f"has a task named {request.task_id.name} already ({self.holder})"
 
     def _cost(self, request: Solicit) -> str:
         unknown = [name for name in names_of(request.cost) if name not in self.costs]

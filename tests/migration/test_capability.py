@@ -15,7 +15,7 @@ SCAN = TaskId("agent1", "ScanTarget")
 REQUEST = Solicit(SCAN, 1, "encirclement.ScanTarget", "0.1.2", "client", ("pose", "motors"), moves_on_below=0.65)
 ROBOT = Capability(
     devices=("battery", "ir", "motors", "pose", "sonar"),
-    types={"encirclement.ScanTarget": "0.1.0"},
+    version="0.1.0",
     battery_level=0.99,
 )
 
@@ -29,18 +29,18 @@ def test_a_robot_with_all_that_is_asked_for_refuses_nothing() -> None:
     [
         ({"devices": ("motion", "pose")}, "lacks the device type motors", "unsupported"),
         ({"devices": ()}, "lacks the device types pose, motors", "unsupported"),
-        ({"types": {}}, "knows no task type 'encirclement.ScanTarget'", "unsupported"),
+        ({"version": None}, "knows no task type 'encirclement.ScanTarget'", "unsupported"),
         (
-            {"types": {}, "faults": {"encirclement.ScanTarget": "it cannot be loaded: no camera"}},
+            {"version": None, "fault": "it cannot be loaded: no camera"},
             "loaded: no camera",
             "unsupported",
         ),
         (
-            {"types": {"encirclement.ScanTarget": "0.2.0"}},
+            {"version": "0.2.0"},
             "has encirclement.ScanTarget in version 0.2.0, not 0.1.2",
             "unsupported",
         ),
-        ({"names": {"ScanTarget": TaskId("agent2", "ScanTarget")}}, "has a task named ScanTarget already", "conflict"),
+        ({"holder": TaskId("agent2", "ScanTarget")}, "has a task named ScanTarget already", "conflict"),
         ({"battery_level": 0.74}, "has 74% of its battery", "unable"),
         ({"role": "environment"}, "is no host of tasks but in the role 'environment'", "unsupported"),
         ({"costs": ()}, "knows no cost function 'tasks'", "unsupported"),
@@ -51,7 +51,7 @@ def test_a_robot_with_all_that_is_asked_for_refuses_nothing() -> None:
         ),
         ({"services": ()}, "runs no service 'client' that takes tasks in, nor any other", "unsupported"),
         (
-            {"records": {SCAN: "map"}},
+            {"recorded": "map"},
             "has a record of agent1/ScanTarget in its service 'map', not in 'client'",
             "unsupported",
         ),
@@ -70,7 +70,7 @@ def test_all_reasons_are_given_at_once() -> None:
 
 
 def test_the_name_of_the_task_itself_is_no_hindrance() -> None:
-    assert replace(ROBOT, names={"ScanTarget": SCAN}).refusal_of(REQUEST) is None
+    assert replace(ROBOT, holder=SCAN).refusal_of(REQUEST) is None
 
 
 def test_a_task_without_a_battery_rule_may_go_anywhere() -> None:
