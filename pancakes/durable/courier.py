@@ -132,11 +132,8 @@ class Outbox:
         """Return what is known to be lost, and forget it."""
         with self._lock:
             senders = {stream.stream: sender for sender, stream in self._of.items()}
-            return [
-                replace(lost, sender=senders.get(name, ""))
-                for name, stream in self._streams.items()
-                for lost in stream.take_lost()
-            ]
+            found = [(name, lost) for name, stream in self._streams.items() for lost in stream.take_lost()]
+        return [replace(lost, sender=senders.get(name, "")) for name, lost in found]
 
     def forwarded(self, news: ForwardTo, peer: str, now_s: float) -> None:
         """Learn of a peer where a task has gone; what waits for it is sent there."""
