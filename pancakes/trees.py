@@ -352,7 +352,7 @@ def _begin(timer: Timer | Timeout) -> None:
 
 
 def _is_over(timer: Timer | Timeout) -> bool:
-    """Return whether the time is up. Where the mission has begun anew since the last look, what was left is left."""
+    """Return whether the time is up. If the mission has started again since the last look, the rest remains."""
     before_s, timer.seen_s = timer.seen_s, timer.task.now()
     if timer.seen_s < before_s:
         timer.until_s += timer.seen_s - before_s

@@ -62,7 +62,7 @@ class Consumption:
         self._per_s: float | None = None
 
     def take(self, now_s: float, battery: Battery, place: tuple[float, float]) -> None:
-        """Take a reading of the battery, and where the robot is then. A time that goes back begins anew."""
+        """Take a reading of the battery, and the robot's place at that time. If time goes back, begin again."""
         before_s, before = self._readings[-1] if self._readings else (now_s, battery.level)
         if battery.charging or now_s < before_s:
             self._readings, self._place = [], place

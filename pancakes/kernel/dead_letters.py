@@ -75,7 +75,7 @@ _REPLY: Final = type_name(Reply)
 class Unheard:
     """Tells the log of packets that nobody got, once for each source, destination and type. Any thread.
 
-    A packet without a destination is for whoever reads it, and that may be nobody; only a command is for an actuator.
+    A packet without a destination is for all that subscribe to it, if any; only a command is for an actuator.
     Replies, and what agents tell each other on `network`, are no concern of the author of a task.
 
     Args:

@@ -125,7 +125,7 @@ def queue_policy(queue: Queue) -> QueuePolicy:
     """Return what a subscription does, as its author has written it.
 
     Raises:
-        ClassError: it is nothing of that kind; it would fail whoever publishes.
+        ClassError: it is none of these; with it, each publisher would fail later.
     """
     if isinstance(queue, QueuePolicy):
         return queue

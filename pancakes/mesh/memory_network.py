@@ -92,7 +92,7 @@ class MemoryNetwork:
 
         Args:
             agent: its name.
-            due_s: returns the virtual time at which so many seconds of the agent's clock will have passed; None: it
+            due_s: returns the virtual time at which a number of seconds of the agent's clock will have passed; None: it
                 uses the virtual clock.
         """
         return MemoryTransport(self, agent, due_s or (lambda delay_s: self.now() + delay_s))

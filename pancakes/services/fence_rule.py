@@ -32,7 +32,7 @@ class TaskAt(msgspec.Struct, frozen=True):
 
     Attributes:
         task_id: the task, as `birthplace/name`.
-        peer: the agent that has it, which may be the one that says so; empty: that is not known.
+        peer: the agent that has it, which may be the sender; empty: unknown.
         epoch: the highest epoch that is known of it; of the agent that has it, the one under which it runs.
     """
 

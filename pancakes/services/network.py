@@ -61,7 +61,7 @@ class Follower:
         mesh: the way to the follower.
         agent: the follower's agent.
         include_remote: whether packets of other agents count.
-        most_hz: at most so many packets a second of each source and type, `LEAST_HZ` or more; 0: all.
+        most_hz: the limit of packets a second from each source and of each type, `LEAST_HZ` or more; 0: all.
     """
 
     def __init__(self, owner: ActorCore, mesh: Mesh, agent: str, include_remote: bool, most_hz: float) -> None:

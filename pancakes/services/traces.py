@@ -25,7 +25,7 @@ LEASE_S: Final = 10.0
 """So long after a client asked last, in host time, packets are noted: it may have gone without a word."""
 LOOK_LATER_S: Final = 0.1
 WAITING: Final = 20_000
-"""So many packets are noted between two questions; of more, the oldest are forgotten."""
+"""The limit of packets that are noted between two questions; of more, the oldest are forgotten."""
 KEPT_NS: Final = 8_000_000_000
 """A packet is remembered this long; what it led to elsewhere may be asked about seconds later."""
 MOST_KEPT: Final = 20_000

@@ -131,7 +131,7 @@ class _FromSource(MetaPathFinder):
         return None
 
     def executed(self, module: ModuleType) -> None:
-        """Have those that import a module get the one in use, if that has not changed. Packages are made anew."""
+        """Have those that import a module get the one in use, if that has not changed. Packages are always replaced."""
         before = self._before.get(module.__name__)
         if before is not None and not hasattr(module, "__path__") and self._stays(before, module):
             sys.modules[module.__name__] = before

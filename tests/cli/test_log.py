@@ -109,9 +109,7 @@ def test_log_follow_neither_loses_nor_repeats(shared: tuple[Rig, Running]):
         assert (log.interrupt(), log.said) == (0, [])
         assert not any(" b/" in line for line in log.printed)
 
-    with closing(
-        LiveOutput(rig, "log", "-f", "--since", "200ms", "--from", "a/client/Talk", "--format", "json")
-    ) as log:
+    with closing(LiveOutput(rig, "log", "-f", "--since", "200ms", "--from", "a/client", "--format", "json")) as log:
         record = log.record('"word ')
         assert (record["kind"], record["level"]) == ("line", "info"), "one object a line"
         assert log.interrupt() == 0

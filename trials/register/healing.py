@@ -52,13 +52,15 @@ if TYPE_CHECKING:
 class Healing:
     """A few rounds in which nothing goes wrong."""
 
-    def __init__(self, search: Search, world: World, agents: list[Local], gone: int | None) -> None:
-        self.search, self.world, self.gone = search, world, gone
+    def __init__(
+        self, search: Search, world: World, agents: list[Local], gone: int | None, restarted: bool = True
+    ) -> None:
+        self.search, self.world, self.gone, self.restarted = search, world, gone, restarted
         self.names = [it.me for it in agents]
         self.here = [index for index in range(len(agents)) if index != gone]
         self.registers = [it.register for it in agents]
-        self.draws = [it.redrawn() for it in agents]
-        self.memories = [Memory()] * len(agents)
+        self.draws = [it.redrawn() if restarted else it.draws for it in agents]
+        self.memories = [Memory() if restarted else it.memory._replace(permit=0) for it in agents]
         self.leases = [Lease()] * len(agents)
         self.box: deque[Any] = deque()
         self.acked = 0
@@ -107,7 +109,7 @@ class Healing:
             Violation: nobody acts afterwards, for no reason, or two do.
         """
         world = self.world
-        for index in self.here:
+        for index in self.here if self.restarted else ():
             self._carry_out(index, self.search.rules.recover(self._place(index), 0))
             self.leases[index] = Lease()
         calm = 0

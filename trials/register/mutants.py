@@ -364,4 +364,5 @@ MUTANTS: Final = (
     Mutant("a task whose disk was lost begins without a question", "birthplace", flaw="begins unasked"),
     Mutant("an agent whose disk was lost has its old identity", "disk lost", flaw="lost votes"),
     Mutant("an owner on a copy of its disk continues as the original", "copy of the owner", flaw="copy owns"),
+    Mutant("an agent that could not write acts on what it meant to write", "migration, given up", flaw="memory stays"),
 )

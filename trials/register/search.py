@@ -223,14 +223,24 @@ class Search:
         return found
 
     def carried_out(self, local: Local, effects: list[Any]) -> Outcome:
-        """Return what comes of effects, and of a crash after each of them."""
-        cuts = []
-        for count in range(1, len(effects)):
+        """Return what comes of effects, of a crash after each of them, and of a failure of each write among them."""
+        cuts, fails = [], []
+        for count, effect in enumerate(effects):
             part, sent, acked, told, _ = self.apply(local, effects[:count])
             if part.register != local.register or sent or acked or told is not None:
                 cuts.append(Outcome(self.number_of(part), sent, acked, told))
+            if type(effect) is Persist:
+                part = part._replace(memory=self.undone(local.memory, part.memory))
+                if part != local or sent:
+                    fails.append(Outcome(self.number_of(part), sent, acked, told))
         after, sent, acked, told, asks = self.apply(local, effects)
-        return Outcome(self.number_of(after), sent, acked, told, tuple(cuts), asks)
+        return Outcome(self.number_of(after), sent, acked, told, tuple(cuts), tuple(fails), asks)
+
+    def undone(self, before: Memory, after: Memory) -> Memory:
+        """Return what an agent remembers if it could not write: what it did before the event, but a shorter permit."""
+        if "memory stays" in self.flaws:
+            return after
+        return before._replace(permit=min(before.permit, after.permit))
 
     def counted(self, number: int, votes: tuple[Any, ...]) -> Outcome:
         """Return what comes of several votes: until they suffice, one that was heard is no more than one that waits."""
@@ -806,6 +816,13 @@ class Search:
                     self.transitions += 1
                     label = (index, what, 0)
                     add(self.step(world, index, out, **more))
+                    for failed in out.fails:
+                        self.transitions += 1
+                        label = (index, what, -1)
+                        part = self.step(world, index, failed)
+                        add(part)
+                        if self.heals:
+                            self.heal_all(part, restarted=False)
                     if self._may_crash(index):
                         for count, cut in enumerate(out.cuts, 1):
                             self.transitions += 1
@@ -851,6 +868,8 @@ class Search:
 
     def _sentence(self, index: int, what: Any, count: int) -> str:
         who = f"{self.names[index]} " if index >= 0 else ""
+        if count < 0:
+            return f"{who}{shown(what)}, but cannot write"
         return f"{who}{shown(what)}" + (f", and crashes after {count} of its effects" if count else "")
 
     def _result(self, verdict: str, parent: Any, healed: Any, began_s: float, trace: tuple[str, ...] = ()) -> Result:
@@ -861,8 +880,12 @@ class Search:
 
     # L1 -------------------------------------------------------------------------------------------------------
 
-    def heal_all(self, world: World) -> None:
+    def heal_all(self, world: World, restarted: bool = True) -> None:
         """Heal a configuration of disks, with nobody or any one agent gone for good.
+
+        Args:
+            world: the configuration.
+            restarted: whether all agents have started again, and remember nothing.
 
         Raises:
             Violation: nobody acts afterwards, for no reason, or two do.
@@ -877,4 +900,4 @@ class Search:
                 if any(it.register.unguarded for it in agents if it.register.state is not None):
                     continue
             self.healings += 1
-            Healing(self, world, agents, gone).run()
+            Healing(self, world, agents, gone, restarted).run()

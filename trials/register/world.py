@@ -126,6 +126,7 @@ class Outcome(NamedTuple):
         acked: the last packet that it acknowledged.
         told: the write whose stop or removal was answered.
         cuts: the same, if the agent crashed after some of the effects.
+        fails: the same, if a write among the effects failed, and the agent went on.
         asks: whether it asked that a claim be confirmed.
     """
 
@@ -134,6 +135,7 @@ class Outcome(NamedTuple):
     acked: int
     told: Register | None
     cuts: tuple[Outcome, ...] = ()
+    fails: tuple[Outcome, ...] = ()
     asks: bool = False
 
 

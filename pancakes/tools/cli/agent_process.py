@@ -42,10 +42,10 @@ beside a task that computes without pause, and beside a task that sends without 
 each system call releases the interpreter, for a moment that is too short to wake up in. Two threads that compute are a
 little slower for it."""
 COLLECT_EACH: Final = (10_000, 10, 10)
-"""Python's garbage collector runs when so many objects more are alive than after its last run. An agent makes little
+"""Python's garbage collector runs when this many more objects are alive than after its last run. An agent makes little
 garbage that the collector must find, and a start makes many objects that stay."""
 FILES: Final = 4096
-"""So many files an agent may have open, where the system allows it. All agents, clients and new connections of a full
+"""How many files an agent may have open, if the system allows it. All agents, clients and new connections of a full
 mesh need more than the limit that some systems begin with; without a free file no operator can connect."""
 
 

@@ -33,7 +33,7 @@ DRAIN_S: Final = 0.25
 MOST_HEARD: Final = 20_000
 """The most packets that wait for that; further ones are lost and counted."""
 A_TURN: Final = 2_000
-"""So many are taken in one turn, which takes some milliseconds of the interpreter."""
+"""The limit of those taken in one turn, which takes some milliseconds of the interpreter."""
 REPORT_S: Final = 10.0
 """Losses are logged at most this often, in seconds of the host."""
 CLOSE_S: Final = 1.0

@@ -16,7 +16,7 @@ LONGEST_PAUSE_S: Final = 5.0
 ANSWER_S: Final = 0.3
 """So long an answer may take."""
 NOISE: Final = 20
-"""So many lines that are no answer are read past for one that is."""
+"""How many other lines are skipped, at most, while an answer is awaited."""
 SILENT: Final = 5
 """A robot that does not answer so often in a row is taken to be gone."""
 

@@ -26,7 +26,7 @@ from pancakes_ros2.newest import Newest
 from pancakes_ros2.robot_nodes import Contents, TruthLine
 
 LINES: Final = 10_000
-"""So many lines of the truth wait at most."""
+"""How many lines of the truth wait, at most."""
 OF_THIS_ROS: Final = ("LD_LIBRARY_PATH", "AMENT_PREFIX_PATH", "PYTHONPATH", "_ROS_WHEELS_BOOTSTRAP_COMPLETE")
 """What an environment with a ROS 2 puts into that of its processes, and another one must not get."""
 

@@ -14,8 +14,8 @@ class Newest(Generic[_T]):
     """The newest things that came and were not taken yet. Any thread.
 
     Args:
-        depth: so many are kept.
-        wake: called where there was nothing and now is something; so at most one call of the taker is under way.
+        depth: how many are kept.
+        wake: called when the first thing comes after all were taken; so at most one call of the taker is under way.
     """
 
     def __init__(self, depth: int, wake: Callable[[], None]) -> None:

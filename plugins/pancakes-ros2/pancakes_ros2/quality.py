@@ -19,7 +19,7 @@ class Quality:
         reliability: whether lost messages are sent again. A reliable reader hears reliable writers alone.
         durability: whether a reader that comes late gets the newest messages too. Such a reader hears such writers
             alone.
-        depth: so many of the newest messages are kept.
+        depth: how many of the newest messages are kept.
         lifespan_s: a message that is older than this, in seconds, is delivered no more; None: none is too old.
     """
 

@@ -34,7 +34,7 @@ from pancakes_ros2.sweeps import Sweeps
 MOST_HZ = 100.0
 """No body of a robot needs more readings of one sensor a second, and a topic may be flooded."""
 FLOOD = 20
-"""The log is told where more than so many readings are left out in a second of mission time; once."""
+"""If more readings than this are left out in a second of mission time, the log says so, once."""
 Hz = Annotated[float, Meta(gt=0)]
 
 

@@ -15,7 +15,7 @@ from pancakes_ros2.sensor_conversion import STATIC_TOPIC
 from pancakes_ros2.topic_row import TopicRow
 
 WAITING: Final = 100
-"""So many messages of a topic wait for the service at most."""
+"""How many messages of a topic wait for the service, at most."""
 AGAIN_S: Final = 10.0
 """The same complaint about a topic is told again after so long, in seconds of mission time."""
 

@@ -38,7 +38,7 @@ class TopicRow:
         frame: the frame of reference that a message with a header names; empty: the agent's name, of a transform `map`.
             Of transforms with the direction `in`: the frame that the poses are in.
         child_frame: of transforms, the frame of the body; empty: the agent's name.
-        max_hz: so many a second pass, where more come; the others are left out.
+        max_hz: how many a second pass, at most; the others are left out.
         include_remote: of `out`: whether packets of other agents count that come to that channel.
         qos: how the messages are delivered.
     """

@@ -61,10 +61,10 @@ class CreditPool:
             waiting: how many more wait at the sender.
 
         Returns:
-            How many bytes of the link may be sent, from its beginning, where that is to be told now; None: it is not.
+            How many bytes of the link may be sent, from its beginning, if the sender must be told; None: it need not.
 
         Raises:
-            ValueError: it was not granted so many.
+            ValueError: it takes more than it was granted.
         """
         account = self._accounts[link]
         if account.taken + size > account.limit:

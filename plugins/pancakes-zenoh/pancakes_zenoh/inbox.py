@@ -12,7 +12,7 @@ from typing import Final
 from pancakes.mesh.event_loop import READ, Loop
 
 MOST_BYTES: Final = 8 * 1024 * 1024
-"""So many bytes of frames may wait for the loop; peers that keep to their credit never come near it."""
+"""How many bytes of frames may wait for the loop; peers that keep to their credit never come near it."""
 
 Call = Callable[[], None]
 

@@ -6,7 +6,7 @@
 |---|---|---|---|
 | OPEN | 0 | 0 | the id of the session that dials, a space, `HOST/PORT` that it dials |
 | DATA | how many bytes of the link went before | how many more wait at the sender | bytes of the link |
-| GRANT | so many bytes of the link may be sent, from its beginning | 0 | none |
+| GRANT | how many bytes of the link may be sent, counted from its beginning | 0 | none |
 | FIN | how many bytes of the link there were | 0 | none |
 | BREAK | 0 | 0 | why, as a phrase |
 """

@@ -58,7 +58,7 @@ class RoutedLink(KeptConnection):
         self.number, self.peer = number, peer
         self._dialled = dialled
         self._sent = 0
-        self._granted = LEAST_BYTES  # so many bytes may be sent, from the beginning
+        self._granted = LEAST_BYTES  # bytes that may be sent, counted from the link's beginning
         self._received = 0
         self._last_word: FrameKind | None = None  # that was sent or came, after which nothing is sent
         self._broken = ""

@@ -43,7 +43,7 @@ SCHEME: Final = "zenoh"
 COST: Final = 5.0
 """See `TransportFacts`; through one router on the same machine, as docs/zenoh.md has it."""
 MOST_CUT: Final = 512
-"""So many sessions that have ended are kept in mind at most, in case they come back."""
+"""How many ended sessions are remembered, at most, in case they come back."""
 ROUTERS: Final = "PANCAKES_ZENOH"
 """The routers of a terminal, and of an agent whose configuration names none: addresses with a comma between them."""
 
