@@ -26,15 +26,15 @@ from pancakes.config.state_dir import state_dir_of
 from pancakes.control import CONTROLS, Refusal
 from pancakes.durable.answers import Boot, BootMemory, NeighbourUp
 from pancakes.durable.client_service import ClientService
-from pancakes.durable.courier import COURIER, Courier, SharedOutbox
-from pancakes.durable.delivery import Outbox
+from pancakes.durable.courier import COURIER, Courier, Outbox
 from pancakes.durable.host_state import IMPORTER, HostState, Importer, describe_process
 from pancakes.durable.installed import Installed
 from pancakes.durable.messages import REGISTRAR
 from pancakes.durable.questions import BirthRule
+from pancakes.durable.quotas import kept_of_peers
 from pancakes.durable.record import resting
 from pancakes.durable.register import Identity as Owner
-from pancakes.durable.registrar import Registrar, kept_of_peers
+from pancakes.durable.registrar import Registrar
 from pancakes.durable.store import RECORD, MigrationReports, Records
 from pancakes.errors import PancakesError, describe, traceback_of
 from pancakes.events import Event
@@ -237,7 +237,7 @@ class Agent:
         # A stream's name is never used again: its numbers are forgotten when this process ends.
         source = self.kernel.random_for("outbox") if virtual is not None else random.SystemRandom()
         secret = f"{source.getrandbits(128):032x}"
-        self.outbox = SharedOutbox(Outbox(f"{self.name}/{journal.uuid}.{journal.boot}", self.name, secret))
+        self.outbox = Outbox(f"{self.name}/{journal.uuid}.{journal.boot}", self.name, secret)
         self.kernel.mission_packets_sent = self.mesh.mission_packets_sent
         self.kernel.links = self.mesh.links
         self.kernel.peer_clock = self.mesh.clocks.clock_of

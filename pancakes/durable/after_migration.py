@@ -17,7 +17,7 @@ class Sequel(msgspec.Struct, frozen=True):
 
     Attributes:
         then: a task to start; empty: none.
-        ledger: the account of the move as it stood when the task was stopped for it; None where there is none.
+        ledger: the account of the move as it stood when the task was paused for it; None: there is none.
     """
 
     then: str = ""

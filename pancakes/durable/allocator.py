@@ -57,19 +57,19 @@ LOOK_S: Final = 1.0
 BETWEEN_S: Final = 5.0
 """An agent begins no round by itself sooner after the last one that it knows of, in host time."""
 SOLVER_S: Final = 5.0
-"""So long, in host time, the best allocation is looked for."""
+"""How long the best allocation is searched for, in host time."""
 MOVING_S: Final = 60.0
-"""So long, in host time, an agent begins no round while its migrations are not over."""
+"""For how long an agent begins no round while its migrations are not over, in host time."""
 LEAST_STEP: Final = 1e-3
 """Costs that differ by less are alike, also if a migration has no price."""
 MOST_ASKED: Final = 4
-"""So many costs are asked of plug-ins at a time: each has `APPRAISED_S` to answer, and they answer in turn."""
+"""How many costs are asked of plug-ins at a time: each has `APPRAISED_S` to answer, and they answer in turn."""
 SETTLED_S: Final = 3600.0
-"""A task that has stayed on an agent for so long, in host time, migrates at its usual price again."""
+"""A task that has stayed on an agent for this long, in host time, migrates at its usual price again."""
 OF_HERE: Final = ("busy", "moved", "not_found")
 """Codes of refusals that say nothing of the agent that has won a task."""
 MOST_PAST: Final = 256
-"""So many rounds are remembered that are over."""
+"""How many past rounds are remembered."""
 
 
 class Optimize(msgspec.Struct, frozen=True):

@@ -8,18 +8,18 @@ disk how often each other one was started, and tells it if its disk is an old co
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import msgspec
 
 from pancakes.durable import rules
-from pancakes.durable.courier_messages import COURIER, OwnerHeard
-from pancakes.durable.entry import Entry, Fed, Registering, right_of
+from pancakes.durable.delivery import COURIER
+from pancakes.durable.entry import Entry, Fed, right_of
 from pancakes.durable.messages import MOST_ASKED, REGISTRAR, BootRemembered, Fact, Known, WhoHas
 from pancakes.durable.peer_talk import LastSaid
 from pancakes.durable.record import Record, TaskId
 from pancakes.durable.register import BLANK, MORE_THAN_MIGRATIONS, Identity, Register, Standing, Wanted, is_quorum
-from pancakes.durable.register_messages import ClaimsCame, CopyNoticed, FactsCame, NeighbourCame, News
+from pancakes.durable.register_messages import CopyNoticed, KnownCame, NeighbourCame, News
 from pancakes.durable.rules import MOST_STEP
 from pancakes.durable.takeovers import Takeovers
 from pancakes.journal import Disk, RecordTable
@@ -27,6 +27,9 @@ from pancakes.kernel.mailbox import Reference, tell
 from pancakes.mesh.mesh import Mesh
 from pancakes.packet import Packet, agent_of
 from pancakes.util import codecs
+
+if TYPE_CHECKING:
+    from pancakes.durable.registrar import Registrar
 
 MOST_CLAIMS: Final = 4096
 """At most this many claims of one agent are remembered; of more, the one that was heard first is forgotten."""
@@ -184,7 +187,7 @@ class Answers:
         takeovers: looks after tasks whose owners are silent.
     """
 
-    def __init__(self, registrar: Registering, mesh: Mesh, boots: BootMemory, takeovers: Takeovers) -> None:
+    def __init__(self, registrar: Registrar, mesh: Mesh, boots: BootMemory, takeovers: Takeovers) -> None:
         self._registrar = registrar
         self._takeovers = takeovers
         self._mesh = mesh
@@ -194,23 +197,17 @@ class Answers:
         self._say_so: set[str] = set()  # the agents that take this one's disk for an old copy
         self._unbelieved = LastSaid()
 
-    def heard(self, message: Any) -> bool:
-        """Take what the agent says; return whether it is for this."""
-        match message:
-            case NeighbourUp():
-                self._meet(message.peer, message.boot)
-            case NetworkBegan():
-                for hello in self._mesh.connected().values():
-                    if hello.role == "agent":
-                        self._meet(hello.name, Boot(hello.journal, hello.boot, hello.life))
-            case _:
-                return False
-        return True
+    def network_began(self) -> None:
+        """Packets can go to other agents from now on."""
+        for hello in self._mesh.connected().values():
+            if hello.role == "agent":
+                self.met(hello.name, Boot(hello.journal, hello.boot, hello.life))
 
     def tell_all(self, service: Reference) -> None:
         """Tell a service that has begun what other agents claim."""
         for peer, claims in self._claims.by_peer().items():
-            tell(service, ClaimsCame(peer, claims))
+            by = next(iter(claims.values())).register.owner
+            tell(service, KnownCame(peer, Known(by, (), tuple(claims.values()))))
         for peer in sorted(self._say_so):
             tell(service, CopyNoticed(peer))
 
@@ -264,7 +261,8 @@ class Answers:
                 asked = tuple(task_ids[first : first + MOST_ASKED])
                 self._registrar.talk.tell(peer, REGISTRAR, WhoHas(asked))
 
-    def _meet(self, peer: str, boot: Boot) -> None:
+    def met(self, peer: str, boot: Boot) -> None:
+        """A link to another agent stands: it is told what this one owns."""
         entries = [it for it in self._registrar.entries.values() if it.record.owned]
         self.say(peer, entries)
         later = self._boots.met(peer, boot)
@@ -283,17 +281,14 @@ class Answers:
         peer = agent_of(packet.source)
         if told.by.agent != peer or peer not in self._mesh.neighbours():
             return
-        if told.task_ids:
-            self._tell_services(FactsCame(peer, told))
-        claims: dict[TaskId, Fact] = {}
+        claims = told.claims
+        for claim in claims:
+            self._claims.heard(peer, claim)
         for fact in told.facts:
-            if fact.register.owner == told.by and not fact.removed:
-                claims[fact.task_id] = fact
-                self._claims.heard(peer, fact)
             entry = self._registrar.entries.get(fact.task_id)
             if entry is None or fact.register.state is not None:
                 continue
-            if not told.task_ids and fact.task_id in claims and entry.record.owned and entry.record.epoch > fact.epoch:
+            if not told.task_ids and fact in claims and entry.record.owned and entry.record.epoch > fact.epoch:
                 self.say(peer, [entry])  # it has not heard of that yet
             self._confirmed_by(entry, told.by, fact)
             self._takeovers.seen(told.by, fact)
@@ -303,9 +298,9 @@ class Answers:
                 who = "it" if fact.register.owner.agent == peer else str(fact.register.owner)
                 text = f"{peer} says that {who} owns {fact.task_id}, and is not believed: {fault}"
                 self._registrar.log("warning", text)
-        if claims:
-            self._tell_services(ClaimsCame(peer, claims))
-            self._registrar.kernel.tell(COURIER, OwnerHeard(peer, tuple(claims.values())))
+        if told.task_ids or claims:
+            self._tell_services(KnownCame(peer, told))
+            self._registrar.kernel.tell(COURIER, KnownCame(peer, told))
 
     def _fault(self, peer: str, entry: Entry, fact: Fact) -> str:
         """Return why an agent is not believed what it says of a task; empty: it may be."""

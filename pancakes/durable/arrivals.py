@@ -6,16 +6,16 @@ All in the service's actor.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
 from msgspec.structs import replace
 
 from pancakes.control import Refusal, Revive
 from pancakes.durable.checkpoints import carried_of, settings_now, spec_of
-from pancakes.durable.courier_messages import COURIER, SendUnsent
+from pancakes.durable.delivery import COURIER, SendUnsent
 from pancakes.durable.host_state import HostState
-from pancakes.durable.hosting import SURE, HostingService, Place, began_from
+from pancakes.durable.hosting import SURE, BeganFrom, Place
 from pancakes.durable.installed import Installed
 from pancakes.durable.questions import Disputes
 from pancakes.durable.reconcile import AskRoom, NoPlace, PlaceFree, Room
@@ -32,6 +32,9 @@ from pancakes.supervision.lifecycle import CLOSES, Admitted, LeaveRefused
 from pancakes.supervision.slots import Slot
 from pancakes.task import Task, TaskSpec
 from pancakes.util.arrays import alike
+
+if TYPE_CHECKING:
+    from pancakes.durable.client_service import ClientServiceCore
 
 SETTLE_S: Final = 10.0
 """How long, in host time, a rule leaves a task alone that has just arrived: no ping-pong."""
@@ -50,7 +53,7 @@ class Arrivals:
 
     def __init__(
         self,
-        host: HostingService,
+        host: ClientServiceCore,
         catalogue: Installed,
         records: Records,
         state: HostState,
@@ -63,7 +66,7 @@ class Arrivals:
         self._state = state
 
     def found(self, place: Place) -> list[TaskSpec]:
-        """Takes up a record that was on disk; returns its task, where the configuration does not have it."""
+        """Takes up a record that was on disk; returns its task, if the configuration does not have it."""
         host, task_id, record = self._host, place.task_id, place.record
         if not record.snapshot:
             return []
@@ -71,7 +74,7 @@ class Arrivals:
             snapshot = Snapshot.decode(record.snapshot)
             # In each start of the agent, and of the service, later than in the one before.
             life = (host.boot << 40) + int(host.kernel.host.now() * 1000.0)
-            place.began = began_from(record.epoch, snapshot, life)
+            place.began = BeganFrom(record.epoch.n, snapshot.heard, life)
             # One that has left has no slot, also if its checkpoint is kept here for it: another task may have its name.
             has_left = record.standing in (Standing.RELEASED, Standing.MEMBER) and not record.was_ours
             specs = [] if has_left or task_id.name in host.residents else [self._spec_here(snapshot)]
@@ -164,14 +167,14 @@ class Arrivals:
         place.unsure = SURE
         if lost := self._lost(place):
             registry.unreserve(slot.address)
-            return Room(asked, lost, for_good=True)
+            return Room(lost, for_good=True)
         if unsure := self._disputes.unsure(slot, place):
             place.unsure = unsure
             if unsure.for_good:
                 registry.unreserve(slot.address)
             else:  # no other task takes them from it while it waits
                 registry.reserve(slot.address, slot.spec.cls.requires)
-            return Room(asked, unsure.why, for_good=unsure.for_good, waits=not unsure.for_good)
+            return Room(unsure.why, for_good=unsure.for_good, waits=not unsure.for_good)
         reason = self._host.admit(slot)
         if not reason and record.snapshot and slot.carried is None and not slot.fresh:
             try:
@@ -181,7 +184,7 @@ class Arrivals:
         if not reason and asked.keep:
             reason = registry.reserve(slot.address, slot.spec.cls.requires)
         if reason:
-            return Room(asked, reason)
+            return Room(reason)
         if slot.fresh:
             slot.fresh = False
             self._host.drop_state(slot)
@@ -189,7 +192,7 @@ class Arrivals:
         if not snapshot and record.may_begin:
             snapshot = self._host.snapshot(slot, None)
         other = place.other
-        return Room(asked, snapshot=snapshot, floor=other.epoch if other is not None else NO_EPOCH)
+        return Room(snapshot=snapshot, floor=other.epoch if other is not None else NO_EPOCH)
 
     def _unreadable(self, slot: Slot, error: MigrationError) -> str:
         return (
@@ -231,9 +234,13 @@ class Arrivals:
         slot.carried = replace(carried_of(snapshot), settings=self._settings_now(slot, snapshot))
         slot.fence = Fence(str(place.task_id), (record.epoch.n, record.epoch.minter.agent))
         kernel = self._host.kernel
-        self._host.outbox.arrive(place.task_id, snapshot.posted, fresh, kernel.host.now(), kernel.restamped)
-        if snapshot.posted is not None:
-            self._host.kernel.tell(COURIER, SendUnsent())
+        posted = snapshot.posted
+        if posted is not None:
+            # What it sent from another agent goes on from here under its address here, as no agent takes it otherwise,
+            # and with stamps of the mission time here.
+            posted = posted.of_agent(self._host.agent, kernel.restamped)
+            kernel.tell(COURIER, SendUnsent())
+        self._host.outbox.arrive(str(place.task_id), posted, fresh, kernel.host.now())
         if place.came_from:
             place.ask_again_s = self._host.kernel.host.now() + SETTLE_S
             state = in_brief(snapshot.state)

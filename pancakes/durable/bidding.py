@@ -19,7 +19,6 @@ from pancakes.durable.bidding_messages import (
     MIGRATOR,
     AttemptOver,
     BidAwarded,
-    BrokenOff,
     HasMoved,
     MigratorBegan,
     MoveOver,
@@ -102,13 +101,13 @@ class Appraiser(ActorCore):
 
 KEEP = reliable(1024)
 APPRAISED_S = 0.4
-"""So long, in host time, the cost functions of others have; the window for bids is a little longer."""
+"""How long the cost functions of plug-ins have, in host time; the window for bids is a little longer."""
 MOST_APPRAISED = 64
-"""So many tasks may wait for their costs, ..."""
+"""At most this many tasks wait for their costs, ..."""
 MOST_OF_PEER = 16
-"""... and so many of one peer."""
+"""... and this many of one peer."""
 SOUGHT_S = 3.0
-"""So long, in host time, a link to the agent that a task is sent to may take, where there is none."""
+"""How long it may take to link to the agent that a task is sent to, in host time."""
 LINK_LOOK_S = 0.05
 FIRST_LOOK_S = 0.5
 LOOK_S = 2.0
@@ -177,8 +176,6 @@ class TaskMigrator(TaskCore, Task):
                 self._attempt_over(message)
             case HasMoved():
                 self._moved(message)
-            case BrokenOff():
-                self._account(message.service, message.task_id, message.ledger, message.reason, message.reason)
             case ServiceBegan():
                 self._service_began(message.service)
             case Appraised():
@@ -255,7 +252,7 @@ class TaskMigrator(TaskCore, Task):
             note: why it came to nothing, or what had come between; kept with the account.
             why_not: what to tell the asker; empty: it has moved.
         """
-        self._negotiations.pop(task_id, None)  # of a service that has been started anew since
+        self._negotiations.pop(task_id, None)  # of a service that was started again since
         self._note()
         self._ledgers.add(ledger, note, self.now())
         self._tell(service, task_id, ledger, why_not)
@@ -332,28 +329,26 @@ class TaskMigrator(TaskCore, Task):
                 del self._holding[body.task_id]
                 tell(found[1], BidAwarded(body.task_id, body.by, holding[1]))
             return
-        self._answered(
-            packet, lambda negotiation, bid, now_s: negotiation.bid(agent_of(packet.source), bid.cost, bid.terms, now_s)
-        )
+        if (negotiation := self._asking(packet)) is not None:
+            now_s = self.kernel.host.now()
+            self._conclude(body.task_id, negotiation.bid(peer, body.cost, body.terms, now_s))
 
     @on(NETWORK, Refuse, queue=KEEP, addressed=True)
     def on_refuse(self, packet: Packet) -> None:
         """A neighbour cannot take the task."""
-        holding = self._holding.get(packet.body.task_id)
-        if holding is not None and holding[0] == agent_of(packet.source):
-            self._hold_failed(packet.body.task_id, packet.body.refusal)
-            return
-        self._answered(
-            packet,
-            lambda negotiation, refuse, now_s: negotiation.refuse(agent_of(packet.source), refuse.refusal, now_s),
-        )
+        body, peer = packet.body, agent_of(packet.source)
+        holding = self._holding.get(body.task_id)
+        if holding is not None and holding[0] == peer:
+            self._hold_failed(body.task_id, body.refusal)
+        elif (negotiation := self._asking(packet)) is not None:
+            self._conclude(body.task_id, negotiation.refuse(peer, body.refusal, self.kernel.host.now()))
 
-    def _answered(self, packet: Packet, take: Callable[[Negotiation, Any, float], Outcome | None]) -> None:
-        if not is_for(packet.body, self._talk.me.journal):
-            return
+    def _asking(self, packet: Packet) -> Negotiation | None:
+        """Return the negotiation that an answer is for; None: it is over, or the answer is for another disk."""
         found = self._negotiations.get(packet.body.task_id)
-        if found is not None and found[0].request.ask == packet.body.ask:
-            self._conclude(packet.body.task_id, take(found[0], packet.body, self.kernel.host.now()))
+        if found is None or not is_for(packet.body, self._talk.me.journal):
+            return None
+        return found[0] if found[0].request.ask == packet.body.ask else None
 
     # Being asked -----------------------------------------------------------------------------------------------
 

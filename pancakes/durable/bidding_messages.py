@@ -64,7 +64,7 @@ class Negotiate(msgspec.Struct, frozen=True):
         asked_by: as in `MigrationReport`.
         to: the only neighbour to ask; empty: all.
         dry_run: whether nothing is to be moved.
-        lost: the agent that had it, where that is silent: this agent may take it too; empty: this agent has it.
+        lost: the agent that had it and is silent: this agent may take it too; empty: this agent has it.
         cause: as in `MigrationReport`.
     """
 
@@ -85,7 +85,7 @@ class AttemptOver(msgspec.Struct, frozen=True):
         task_id: the task.
         peer: the bidder; empty: it cannot be handed over at all just now.
         refusal: why.
-        ledger: the account, for where the migrator does not know of the negotiation: the other bids are forgotten.
+        ledger: the account, if the migrator does not know of the negotiation: the other bids are forgotten.
     """
 
     service: Reference
@@ -103,7 +103,7 @@ class HasMoved(msgspec.Struct, frozen=True):
         task_id: the task.
         peer: the new owner.
         epoch: the epoch that it runs under there, as text.
-        ledger: the account, for where the migrator does not know of the negotiation.
+        ledger: the account, if the migrator does not know of the negotiation.
         note: what had come between, in that case.
     """
 
@@ -115,24 +115,8 @@ class HasMoved(msgspec.Struct, frozen=True):
     note: str
 
 
-class BrokenOff(msgspec.Struct, frozen=True):
-    """A move is over that the end of a service has broken off.
-
-    Attributes:
-        service: its successor.
-        task_id: the task.
-        ledger: the account.
-        reason: why.
-    """
-
-    service: Reference
-    task_id: TaskId
-    ledger: MigrationReport
-    reason: str
-
-
 class ServiceBegan(msgspec.Struct, frozen=True):
-    """A service has started anew, and knows of no move that its predecessor asked for.
+    """A service has started again, and knows of no move that its predecessor asked for.
 
     Attributes:
         service: the service.
@@ -145,7 +129,7 @@ class ServiceBegan(msgspec.Struct, frozen=True):
 
 
 class MigratorBegan(msgspec.Struct, frozen=True):
-    """The migrator has started anew and knows of no negotiation."""
+    """The migrator has started again and knows of no negotiation."""
 
 
 class BidAwarded(msgspec.Struct, frozen=True):

@@ -9,14 +9,23 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from functools import cache, partial
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
 from msgspec.structs import asdict, replace
 
-from pancakes.durable.courier_messages import COURIER, AskedBegan, CameFor, Say
-from pancakes.durable.delivery import ForwardTo, Letter, PacketId, Receipt, StreamsBegan
-from pancakes.durable.hosting import HostingService, Place, TaskLetters, began_from, last_checkpoint, plain_of
+from pancakes.durable.delivery import (
+    COURIER,
+    AskedBegan,
+    CameFor,
+    ForwardTo,
+    Letter,
+    PacketId,
+    Receipt,
+    Say,
+    StreamsBegan,
+)
+from pancakes.durable.hosting import BeganFrom, LastCheckpoint, Place, TaskLetters, plain_of
 from pancakes.durable.installed import Installed
 from pancakes.durable.messages import REGISTRAR
 from pancakes.durable.reconcile import Outcome, Write
@@ -35,9 +44,12 @@ from pancakes.supervision.lifecycle import State
 from pancakes.supervision.messages import Carried, Give, LetterGiven, LetterOutcome, Look, Looked
 from pancakes.supervision.restart import RestartSpec
 from pancakes.supervision.slots import Slot
-from pancakes.task import TaskSpec
+from pancakes.task import Nothing, TaskSpec
 from pancakes.util import codecs
 from pancakes.util.arrays import alike
+
+if TYPE_CHECKING:
+    from pancakes.durable.client_service import ClientServiceCore
 
 
 def snapshot_of(
@@ -148,7 +160,7 @@ def settings_now(snapshot: Snapshot, configured: Mapping[str, Any]) -> tuple[dic
 CHECKPOINT_S: Final = 1.0
 """How often, in host time, a task whose state has changed is written down (`durability = "lazy"`)."""
 AT_ONCE: Final = 20
-"""So many tasks are looked at in one go; a look at a thousand would make all of them 20 ms late, each second."""
+"""How many tasks are looked at in one go; a look at a thousand would make all of them 20 ms late, each second."""
 
 
 class Checkpointing:
@@ -163,7 +175,7 @@ class Checkpointing:
         late: the places of tasks whose checkpoint had to wait for the disk.
     """
 
-    def __init__(self, host: HostingService) -> None:
+    def __init__(self, host: ClientServiceCore) -> None:
         self._host = host
         self.late: dict[TaskId, Place] = {}
         self._begun = False
@@ -274,7 +286,7 @@ class Checkpointing:
         if slot.life.state is not State.RUNNING:
             return
         place = self._host.places.at[slot.name]
-        if not place.idle:
+        if not place.course.settled:
             # The disk is slow, or a migration under way: the next time will do, and nothing piles up meanwhile.
             self.late[place.task_id] = place
             return
@@ -288,7 +300,8 @@ class Checkpointing:
             self._tell_unwritable(slot, str(error))
             return
         place.unwritable = False
-        place.written, place.looked_s = last_checkpoint(slot.spec.cls, carried, plain), self._host.kernel.host.now()
+        place.written = LastCheckpoint(plain, carried if slot.spec.cls.State is Nothing else None)
+        place.looked_s = self._host.kernel.host.now()
         consumed = place.letters.consumed(carried.heard) if place.letters is not None else ()
         then = partial(self._saved, place, consumed)
         self._host.tell_registrar(place, Save(snapshot), then, write=Write.SAVE, is_checkpoint=True)
@@ -313,28 +326,18 @@ class Deliveries:
     """Gives letters to the tasks of one service. All in that service's actor.
 
     With `durability = "each"` a letter is acknowledged once its effect is on disk. With `"lazy"` that runs ahead of the
-    disk: the letter is kept here until it is written down, and given again to a task that failed and begins anew from
+    disk: the letter is kept here until it is written down, and given again to a task that failed and begins again from
     its checkpoint. So only a crash of the whole agent, or a failure of the service itself, loses what was acknowledged.
 
     Args:
         host: the service.
     """
 
-    def __init__(self, host: HostingService) -> None:
+    def __init__(self, host: ClientServiceCore) -> None:
         self._host = host
 
-    def heard(self, message: CameFor | LetterGiven | AskedBegan) -> None:
-        """Another actor of this agent has said something about letters."""
-        match message:
-            case CameFor():
-                self._arrived(message)
-            case LetterGiven():
-                self._given(message)
-            case AskedBegan():
-                self._asked_began(message)
-
-    def _arrived(self, came: CameFor) -> None:
-        """Takes a letter; where it cannot be given to the task now, its sender keeps it and sends it again."""
+    def arrived(self, came: CameFor) -> None:
+        """Take a letter; if it cannot be given to the task now, its sender keeps it and sends it again."""
         letter, host = came.letter, self._host
         place = host.places.get(TaskId.parse(letter.task_id))
         if place is None:
@@ -364,7 +367,7 @@ class Deliveries:
         if letters.give(slot.task, letter, packet):
             tell(slot.task, Give(letter, addressed))
 
-    def _given(self, told: LetterGiven) -> None:
+    def given(self, told: LetterGiven) -> None:
         """A task says what has become of a letter."""
         letter, task = told.give.letter, told.task
         place = self._host.places.get(TaskId.parse(letter.task_id))
@@ -405,9 +408,9 @@ class Deliveries:
             snapshot = Snapshot.decode(record.snapshot)
         except MigrationError:  # it cannot be started either, which is said where that is tried
             return
-        place.began = began_from(record.epoch, snapshot)
+        place.began = BeganFrom(record.epoch.n, snapshot.heard)
 
-    def _asked_began(self, message: AskedBegan) -> None:
+    def asked_began(self, message: AskedBegan) -> None:
         """An agent that has sent letters to a task asks from what state it began here."""
         place = self._host.places.get(TaskId.parse(message.asked.task_id))
         if place is not None and place.began is not None and place.record.owned:
@@ -416,7 +419,7 @@ class Deliveries:
             self._say(message.peer, began)
 
     def again(self, place: Place) -> None:
-        """Gives a task that has begun anew what was acknowledged and is not in its checkpoint; all else comes after."""
+        """Give a task that has begun again what was acknowledged and is not in its checkpoint; all else comes after."""
         if place.letters is not None:
             for letter, packet in list(place.letters.kept.values()):
                 self._deliver(place, letter, packet)

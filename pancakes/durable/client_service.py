@@ -23,8 +23,8 @@ from pancakes.durable.arrivals import Arrivals
 from pancakes.durable.bidding_messages import BidAwarded, MigratorBegan, MoveOver
 from pancakes.durable.checkpoints import Checkpointing, Deliveries, carried_of, snapshot_of
 from pancakes.durable.commands import Creations, Described, Recoveries
-from pancakes.durable.courier import SharedOutbox
-from pancakes.durable.courier_messages import AskedBegan, CameFor
+from pancakes.durable.courier import Outbox
+from pancakes.durable.delivery import AskedBegan, CameFor
 from pancakes.durable.host_state import HostState, Imported
 from pancakes.durable.hosting import SURE, Pending, Place, Places
 from pancakes.durable.installed import Installed
@@ -37,10 +37,7 @@ from pancakes.durable.record import TaskId, rest_of
 from pancakes.durable.register import Standing, Wanted
 from pancakes.durable.register_messages import (
     CannotStart,
-    ClaimsCame,
-    Concluded,
     CopyNoticed,
-    FactsCame,
     Feed,
     GoodbyeSaid,
     Guarded,
@@ -48,6 +45,7 @@ from pancakes.durable.register_messages import (
     HostEnded,
     Judge,
     Judged,
+    KnownCame,
     NeighbourCame,
     OfferRefused,
     PermitOver,
@@ -111,7 +109,7 @@ class ClientServiceCore(ServiceCore):
         *args: Any,
         records: Records,
         catalogue: Installed,
-        outbox: SharedOutbox,
+        outbox: Outbox,
         state: HostState,
         mesh: Mesh,
         births: BirthRule,
@@ -133,7 +131,6 @@ class ClientServiceCore(ServiceCore):
         self._says_goodbye = False
         self._tokens = 0
         self._pending: dict[int, Pending] = {}  # what the registrar was told of, by token
-        self._unwritten: set[int] = set()
         self._checkpointing = Checkpointing(self)
         self._deliveries = Deliveries(self)
         self.on_disk = self._deliveries.on_disk
@@ -165,7 +162,7 @@ class ClientServiceCore(ServiceCore):
         # A tombstone has no slot, and answers all the same.
         for place in list(self.places.values()):
             if place.slot is None:
-                self.feed_place(place, reconcile.TakeUp())
+                self.feed_place(place, reconcile.ServiceBegan())
         self.kernel.tell(REGISTRAR, HostBegan(self))
         for place in list(self.places.values()):
             self.guard(place)
@@ -184,7 +181,7 @@ class ClientServiceCore(ServiceCore):
         slot.fresh = kept is None
 
     def start_configured(self, slot: Slot) -> None:
-        self.feed_place(self.places.at[slot.name], reconcile.StartConfigured(slot.fresh))
+        self.feed_place(self.places.at[slot.name], reconcile.ServiceBegan(slot.fresh))
 
     def settle_all(self) -> None:
         # The last checkpoint of each task may wait for the one before it to be written.
@@ -192,7 +189,7 @@ class ClientServiceCore(ServiceCore):
         self._end_if_written()
 
     def _end_if_written(self) -> None:
-        if self._ends and not self._turning and not self._unwritten:
+        if self._ends and not self._turning and all(it.written for it in self._pending.values()):
             self._ends = False
             goodbye = self.kernel.stopping
             told = self.kernel.tell(REGISTRAR, HostEnded(self.name, goodbye))
@@ -230,7 +227,7 @@ class ClientServiceCore(ServiceCore):
 
     def _step(self, place: Place, event: AnyEvent) -> None:
         slot, before = place.slot, place.course
-        at = Now(self.agent, self.kernel.host.now(), self.keeper.draw, self.closing)
+        at = Now(self.agent, self.kernel.host.now(), self.keeper.draw, self.closing, place.removal is not None)
         life, place.course, effects = handle(slot.life if slot is not None else None, place.course, event, at)
         if slot is not None and life is not None:
             slot.life = life
@@ -292,7 +289,6 @@ class ClientServiceCore(ServiceCore):
             place.course = msgspec.structs.replace(place.course, pending=(*place.course.pending, write))
         self._tokens += 1
         self._pending[self._tokens] = Pending(place, write, then)
-        self._unwritten.add(self._tokens)
         feed = Feed(place.task_id, event, self._tokens, self.name, place.record.epoch, sequel, is_checkpoint)
         if not self.kernel.tell(REGISTRAR, feed):
             self._lapsed([self._tokens])
@@ -308,8 +304,7 @@ class ClientServiceCore(ServiceCore):
             pending = self._pending.get(token)
             if pending is None:
                 continue
-            if outcome is not Outcome.DELAYED:
-                self._unwritten.discard(token)
+            pending.written = outcome is not Outcome.DELAYED
             if outcome not in (Outcome.WRITTEN, Outcome.DELAYED):
                 del self._pending[token]
             if pending.then is not None:
@@ -327,7 +322,6 @@ class ClientServiceCore(ServiceCore):
         """The registrar has started again: nothing is known of these writes."""
         for token in tokens:
             pending = self._pending.pop(token, None)
-            self._unwritten.discard(token)
             if pending is None:
                 continue
             if pending.then is not None:
@@ -370,8 +364,6 @@ class ClientServiceCore(ServiceCore):
                 self._departures.drop(place, slot, effect.ends)
             case reconcile.Resume():
                 self._departures.resume(place, slot)
-            case reconcile.Conclude():
-                self.kernel.tell(REGISTRAR, Concluded(place.task_id))
             case _:
                 assert_never(effect)
 
@@ -483,15 +475,18 @@ class ClientServiceCore(ServiceCore):
                         self.feed(slot, reconcile.StoodStill(message.number, message.carried, message.reason))
                     else:
                         self._has_no_permit(slot, self.places.at[slot.name])
-            case LetterGiven() | CameFor() | AskedBegan():
-                self._deliveries.heard(message)
-            case ClaimsCame() | NeighbourCame() | FactsCame() | CopyNoticed():
+            case LetterGiven():
+                self._deliveries.given(message)
+            case CameFor():
+                self._deliveries.arrived(message)
+            case AskedBegan():
+                self._deliveries.asked_began(message)
+            case NeighbourCame() | KnownCame() | CopyNoticed():
                 self._disputes.heard(message)
             case Imported():
                 self.begin_command(message.waiting, request_of(message.waiting))
             case BidAwarded() | MoveOver():
-                place = self.places[message.task_id]
-                self.feed_place(place, self._mover.heard(place, message))
+                self._mover.heard(self.places[message.task_id], message)
             case MigratorBegan():
                 self._mover.migrator_began()
             case _:
@@ -514,8 +509,12 @@ class ClientServiceCore(ServiceCore):
     # What is asked of it ---------------------------------------------------------------------------------------
 
     def carry_out_command(self, body: Any, slot: Slot | None, request: Request) -> None:
-        if isinstance(body, control.Adopt | control.Forget | control.Revive):
-            self._recoveries.carry_out(body, request)
+        if isinstance(body, control.Adopt):
+            self._recoveries.adopt(body, request)
+        elif isinstance(body, control.Forget):
+            self._recoveries.forget(body, request)
+        elif isinstance(body, control.Revive):
+            self._recoveries.revive(body, request)
         elif isinstance(body, Create):
             self._creations.create(body, request)
         elif slot is None:
@@ -542,35 +541,34 @@ class ClientServiceCore(ServiceCore):
 
         What was asked for is done all the same once the journal can write, or more than half of them answer.
         """
-        self.after_host(JOURNAL_S, lambda: self._look(place, request))
-        if place.record.guarded:
-            self.after_host(GUARDIANS_S, lambda: self._look_at_guardians(place, request))
+        self.after_host(JOURNAL_S, partial(self._look, place, request, self.kernel.host.now()))
 
-    def _look(self, place: Place, request: Request) -> None:
+    def _look(self, place: Place, request: Request, since_s: float) -> None:
         if not self.waits(request):
             return
-        is_written = place.idle and not any(self._pending[it].place is place for it in self._unwritten)
-        trouble = "" if is_written else place.course.trouble or self._records.trouble(place.task_id)
-        if not trouble:
-            self.after_host(LOOK_AGAIN_S, lambda: self._look(place, request))
-            return
-        what = place.slot.how_it_is if place.slot is not None else str(place.task_id)
-        self.put_off(
-            request, f"{what}; what was asked for waits: {trouble}. It is done as soon as the journal can write"
-        )
+        if why := self._why_waits(place, request, self.kernel.host.now() - since_s):
+            self.put_off(request, why)
+        else:
+            self.after_host(LOOK_AGAIN_S, partial(self._look, place, request, since_s))
 
-    def _look_at_guardians(self, place: Place, request: Request) -> None:
+    def _why_waits(self, place: Place, request: Request, waited_s: float) -> str:
+        """Return what a request waits for, as a sentence; empty: that is not known, or it may still be done in time."""
         slot, record = place.slot, place.record
-        starts = slot is not None and slot.life.state in (State.ASKED, State.CALLED_OFF)
-        waits = record.guarded and place.course.desired is not rules.Desired.RUN and self.waits(request)
-        if slot is None or not starts or not waits:
-            return
+        what = slot.how_it_is if slot is not None else str(place.task_id)
+        is_written = place.course.settled and all(it.written for it in self._pending.values() if it.place is place)
+        if not is_written and (trouble := self._records.trouble(place.task_id)):
+            return f"{what}; what was asked for waits: {trouble}. It is done as soon as the journal can write"
+        if not record.guarded or waited_s < GUARDIANS_S:
+            return ""
         others = ", ".join(sorted({one.agent for one in record.members} - {self.agent}))
-        self.put_off(
-            request,
-            f"{slot.how_it_is}; what was asked for waits for its guardians ({others}). It is done"
-            " once more than half of them answer",
-        )
+        if place.removal == request:
+            freed = f"{place.task_id} is stopped, and is removed once more than half of its guardians let go of it"
+            return f"{freed} ({others})"
+        starts = slot is not None and slot.life.state in (State.ASKED, State.CALLED_OFF)
+        if not starts or place.course.desired is rules.Desired.RUN:
+            return ""
+        waits = f"{what}; what was asked for waits for its guardians ({others})"
+        return f"{waits}. It is done once more than half of them answer"
 
     def refuse_reload(self, slot: Slot) -> None:
         place = self.places.at[slot.name]

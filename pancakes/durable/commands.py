@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import Any, Final, Literal
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 from msgspec.structs import replace
 
@@ -17,12 +17,12 @@ from pancakes.durable.answers import fact_of, newest_fact
 from pancakes.durable.arrivals import Arrivals
 from pancakes.durable.bidding_messages import MIGRATOR, AttemptOver
 from pancakes.durable.checkpoints import snapshot_of
-from pancakes.durable.hosting import Creation, HostingService, Place, Recovery
+from pancakes.durable.hosting import Creation, Place, Recovery
 from pancakes.durable.messages import Fact
 from pancakes.durable.migration import Mover
-from pancakes.durable.questions import Disputes, InquiryFindings
+from pancakes.durable.questions import Disputes
 from pancakes.durable.reconcile import Outcome, Removed
-from pancakes.durable.record import Lost, Record, TaskId, dispute_of
+from pancakes.durable.record import Lost, Record, TaskId, dispute_of, why_not_here
 from pancakes.durable.register import MORE_THAN_MIGRATIONS, NO_EPOCH, NOBODY, Epoch, Register, Standing, Wanted
 from pancakes.durable.rules import Begin, Desired, Force, Leave, Want
 from pancakes.durable.snapshot import Snapshot
@@ -33,6 +33,9 @@ from pancakes.packet import agent_of, join
 from pancakes.supervision.lifecycle import CLOSES, Answer, Request, State, StopAsked, request_of
 from pancakes.supervision.slots import Slot
 from pancakes.task import TaskSpec
+
+if TYPE_CHECKING:
+    from pancakes.durable.client_service import ClientServiceCore
 
 
 def was_forgotten(record: Record) -> bool:
@@ -80,24 +83,7 @@ def task_meant(
         raise ControlRefusedError(
             f"{service} knows of no task {name!r}" + (f" of {birthplace}" if birthplace else ""), "not_found"
         )
-    stands = " and ".join(f"{record.task_id} is {_standing(record)}" for record in meant)
-    raise ControlRefusedError(f"there is nothing to {verb}: {stands}")
-
-
-def _standing(record: Record) -> str:
-    if record.removed:
-        return "removed"
-    match record.standing:
-        case Standing.DISPUTED:
-            return "here, and owned by another agent too"
-        case Standing.OWNER:
-            return "here already"
-        case Standing.OFFERED:
-            return "here, and about to be handed over"
-        case Standing.YIELDED | Standing.HEIR:
-            return f"in doubt between this agent and {record.peer}, so decide or wait"
-        case _:
-            return f"with {record.peer}, which has said so" if record.peer else "not here"
+    raise ControlRefusedError(f"there is nothing to {verb}: {' and '.join(map(why_not_here, meant))}")
 
 
 class Recoveries:
@@ -112,7 +98,7 @@ class Recoveries:
     """
 
     def __init__(
-        self, host: HostingService, records: Records, mover: Mover, arrivals: Arrivals, disputes: Disputes
+        self, host: ClientServiceCore, records: Records, mover: Mover, arrivals: Arrivals, disputes: Disputes
     ) -> None:
         self._host = host
         self._records = records
@@ -130,20 +116,6 @@ class Recoveries:
             if lost.task_id.name == name and self._records.decider_of(lost) == self._host.name
         ]
 
-    def carry_out(self, body: Adopt | Forget | Revive, request: Request) -> None:
-        """Carries out what a person has decided.
-
-        Raises:
-            ControlRefusedError: it cannot be done; the sentence says why.
-        """
-        match body:
-            case Adopt():
-                self.adopt(body, request)
-            case Forget():
-                self.forget(body, request)
-            case Revive():
-                self.revive(body, request)
-
     def adopt(self, body: Adopt, request: Request) -> None:
         """Runs a task here, on a person's word.
 
@@ -151,10 +123,11 @@ class Recoveries:
             ControlRefusedError: it is not in doubt, or the other agent is there.
         """
         host = self._host
-        copied = [it for it in self._disputes.copied.undecided(body.target) if body.birthplace in ("", it.task_id[0])]
-        if copied:
-            self._adopt_copied(copied[0], body, request)
-            return
+        for place in self._disputes.copied.undecided(body.target):
+            if body.birthplace in ("", place.task_id.birthplace):
+                record, why = place.record, f"{request.by} says that it runs nowhere else"
+                self._run_here(place.task_id, record.snapshot, record.seen.n, "", why, body.dry_run, request)
+                return
         known, lost = self._known(body.target), self._lost(body.target)
         lost += self._disputes.births.undecided(body.target)
         chosen = task_meant(host.address, body.target, body.birthplace, known, lost)
@@ -170,14 +143,6 @@ class Recoveries:
             self._run_here(chosen.task_id, chosen.snapshot, seen_n, peer, why, body.dry_run, request)
         else:
             self._adopt_doubtful(chosen, body, request)
-
-    def _adopt_copied(self, place: Place, body: Adopt, request: Request) -> None:
-        host, task_id = self._host, place.task_id
-        if not body.dry_run:
-            self._tell_asked("adopt", task_id, request)
-            host.log("warning", f"{task_id} goes on on {host.agent}, from an old copy, as {request.by} asked")
-            self._disputes.copied.decide(place)
-        host.reply(request, result={"task_id": str(task_id), "peer": ""})
 
     def _adopt_doubtful(self, record: Record, body: Adopt, request: Request) -> None:
         host, task_id, peer = self._host, record.task_id, record.peer
@@ -270,7 +235,7 @@ class Recoveries:
             return
         place = self._place(task_id)
         reason = f"{task_id} was adopted on {host.agent}, as {request.by} asked, because {why}"
-        self._tell_asked("adopt", task_id, request)
+        self._host.tell_asked("adopt", task_id.name, request)
         host.log("warning", reason)
         place.recovery = Recovery(request, peer, reason, self._mover.sequel_of(place.record).ledger)
         host.look_after(place, request)
@@ -351,7 +316,7 @@ class Recoveries:
 
     def _leave(self, place: Place, epoch: Epoch, request: Request) -> None:
         """Write down that a task is not here; what was here of it is gone."""
-        self._tell_asked("forget", place.task_id, request)
+        self._host.tell_asked("forget", place.task_id.name, request)
         place.recovery = Recovery(request, "", "", None)
         self._host.look_after(place, request)
         leave = Leave(Register(epoch))
@@ -383,16 +348,10 @@ class Recoveries:
             )
         return place
 
-    def _tell_asked(self, what: str, task_id: TaskId, request: Request) -> None:
-        host = self._host
-        host.event("asked", what=what, task=task_id.name, service=host.name, by=request.by, number=request.number)
-
 
 Described = Callable[[str, Mapping[str, Any]], TaskSpec]
 """Takes the name of a task and its table; returns how to start it, or raises `ControlRefusedError`."""
 
-LET_GO_S: Final = 5.0
-"""An asker is told that a removal waits for guardians that have not let go after so long, in host seconds."""
 NOT_ITS_KEYS: Final = ("type", "service", "start", "settings", "rate_hz", "name")
 """Keys of a table `[task.NAME]` that a request to create a task says elsewhere, or cannot say."""
 
@@ -411,7 +370,7 @@ class Creations:
 
     def __init__(
         self,
-        host: HostingService,
+        host: ClientServiceCore,
         records: Records,
         arrivals: Arrivals,
         disputes: Disputes,
@@ -441,10 +400,11 @@ class Creations:
             return
         self._refuse_known(task_id)
         spec = self._spec(body)
-        asked = Creation(request, spec, self._first_snapshot(spec, task_id), body.dry_run)
+        snapshot = snapshot_of(spec, task_id, host.name, None).encode()
+        asked = Creation(request, spec, snapshot, body.dry_run)
         self._refuse_unfit(task_id, asked)
         self._unreserve(task_id)  # until the others have answered
-        self._disputes.inquiries.begin(task_id, spec.type, partial(self._asked, task_id, asked))
+        self._disputes.questions.inquire(task_id, spec.type, partial(self._asked, task_id, asked))
 
     def _spec(self, body: Create) -> TaskSpec:
         if key := next((key for key in body.keys if key in NOT_ITS_KEYS), ""):
@@ -458,18 +418,14 @@ class Creations:
             table["rate_hz"] = body.rate_hz
         return self._described(body.target, table)
 
-    def _first_snapshot(self, spec: TaskSpec, task_id: TaskId) -> bytes:
-        host = self._host
-        return snapshot_of(spec, task_id, host.name, None).encode()
-
     def _refuse_known(self, task_id: TaskId) -> None:
-        """Raises `ControlRefusedError` where there is such a task here, or is about to be."""
+        """Raise `ControlRefusedError` if there is such a task here, or is about to be."""
         host = self._host
         if host.closing:
             raise ControlRefusedError(f"{host.address} ends: {CLOSES}", "busy")
         if (slot := host.slots.get(task_id.name)) is not None:
             raise ControlRefusedError(f"{slot.address} is there already, and {slot.life.word}: choose another name")
-        if self._disputes.inquiries.about(task_id) or self._place(task_id).creation is not None:
+        if self._disputes.questions.inquires(task_id) or self._place(task_id).creation is not None:
             raise ControlRefusedError(f"{task_id} is being created already", "busy")
         if lost := self._records.lost(task_id):
             raise ControlRefusedError(lost.undecided(host.agent))
@@ -495,12 +451,12 @@ class Creations:
     def _unreserve(self, task_id: TaskId) -> None:
         self._host.kernel.registry.unreserve(join(self._host.address, task_id.name))
 
-    def _asked(self, task_id: TaskId, asked: Creation, found: InquiryFindings) -> None:
+    def _asked(self, task_id: TaskId, asked: Creation, facts: Sequence[Fact], silent: Sequence[str]) -> None:
         """The other agents have said what they know of the task."""
         host, place = self._host, self._place(task_id)
         try:
             self._refuse_known(task_id)  # what has come meanwhile
-            seen = self._seen(task_id, place.record, found)
+            seen = self._seen(task_id, place.record, facts)
             self._refuse_unfit(task_id, asked)
         except ControlRefusedError as error:
             host.reply(asked.request, Refusal.of(error))
@@ -509,14 +465,13 @@ class Creations:
         jump = MORE_THAN_MIGRATIONS if asked.spec.guard is not None else 1
         if asked.dry_run:
             self._unreserve(task_id)
-            host.reply(asked.request, result=_result(task_id, seen + jump, found.silent))
+            host.reply(asked.request, result=_result(task_id, seen + jump, silent))
             return
-        self._tell_asked("create", task_id, asked.request)
-        if found.silent:
-            silent = ", ".join(found.silent)
-            host.log("warning", f"{task_id} is created, although nothing was heard of it from {silent}")
+        self._host.tell_asked("create", task_id.name, asked.request)
+        if silent:
+            host.log("warning", f"{task_id} is created, although nothing was heard of it from {', '.join(silent)}")
         place = host.places[task_id]
-        place.creation = replace(asked, silent=tuple(found.silent))
+        place.creation = replace(asked, silent=tuple(silent))
         host.look_after(place, asked.request)
         begin = Begin(Epoch(seen + jump - 1, NOBODY), asked.snapshot)
         host.tell_registrar(place, begin, partial(self._created, place))
@@ -525,14 +480,14 @@ class Creations:
         if place.creation is not None and outcome in (Outcome.FAILED, Outcome.DECLINED):
             self.begun(place, place.creation, why or "it was decided otherwise")
 
-    def _seen(self, task_id: TaskId, record: Record, found: InquiryFindings) -> int:
+    def _seen(self, task_id: TaskId, record: Record, facts: Sequence[Fact]) -> int:
         """Returns the highest number of an epoch that is known of a task that is nowhere.
 
         Raises:
             ControlRefusedError: it may be somewhere.
         """
         own = fact_of(record) if not record.unborn else None
-        newest = newest_fact([own, *found.facts])
+        newest = newest_fact([own, *facts])
         other = self._disputes.claimant(task_id)
         if other is not None and (newest is None or other.epoch > newest.epoch):
             newest = Fact(task_id, Register(other.epoch))
@@ -557,7 +512,10 @@ class Creations:
         host, task_id, record = self._host, place.task_id, place.record
         if not record.owned:
             self._unreserve(task_id)
-            host.reply(asked.request, Refusal("failed", f"{task_id} is not created: {place.course.trouble or why_not}"))
+            host.reply(
+                asked.request,
+                Refusal("failed", f"{task_id} is not created: {self._records.trouble(task_id) or why_not}"),
+            )
             return
         host.log("info", f"{task_id} was created on {host.agent}, as {asked.request.by} asked")
         told = {"task": task_id.name, "type": asked.spec.type, "epoch": record.epoch.n}
@@ -584,11 +542,9 @@ class Creations:
         if body.dry_run:
             host.reply(request, result={"task_id": str(place.task_id)})
             return
-        self._tell_asked("remove", place.task_id, request)
-        place.removal, place.course = request, replace(place.course, removing=True)
+        self._host.tell_asked("remove", place.task_id.name, request)
+        place.removal = request
         host.look_after(place, request)
-        if place.record.guarded:
-            host.after_host(LET_GO_S, partial(self._tell_waiting, place, request))
         if slot.life.state is State.STOPPED:
             self._go_on(place)
         else:
@@ -625,7 +581,7 @@ class Creations:
         if place.removal != answer.asker:
             return False
         if answer.reason:
-            self._end(place)  # it is stuck, say
+            place.removal = None  # it is stuck, say
             return False
         if place.slot is not None:
             waiting, place.slot.commands = place.slot.commands, ()
@@ -646,25 +602,16 @@ class Creations:
             return
         host, task_id = self._host, place.task_id
         if outcome is Outcome.COUNTS:
-            self._end(place)
+            place.removal = None
             host.feed_place(place, Removed())
             host.log("info", f"{task_id} was removed from {host.agent}, as {request.by} asked")
             host.event("task_removed", task=task_id.name, by=request.by, number=request.number)
             self._account(task_id, request, "removed", "")
             host.reply(request, result={"task_id": str(task_id)})
         elif outcome in (Outcome.FAILED, Outcome.DECLINED, Outcome.LAPSED):
-            self._end(place)
+            place.removal = None
             text = f"{task_id} is not removed: {why or 'it was decided otherwise meanwhile'}"
             host.reply(request, Refusal("failed", text))
-
-    def _end(self, place: Place) -> None:
-        place.removal, place.course = None, replace(place.course, removing=False)
-
-    def _tell_waiting(self, place: Place, request: Request) -> None:
-        if place.removal == request and self._host.waits(request):
-            members = " and ".join(sorted({one.agent for one in place.record.members} - {self._host.agent}))
-            text = f"{place.task_id} is stopped, and is removed once more than half of its guardians let go of it"
-            self._host.put_off(request, f"{text} ({members})")
 
     # ----------------------------------------------------------------------------------------------------------
 
@@ -675,10 +622,6 @@ class Creations:
     def _account(self, task_id: TaskId, request: Request, outcome: Literal["created", "removed"], winner: str) -> None:
         account = MigrationReport(str(task_id), self._host.agent, request.by, "", outcome, winner, (), 0.0)
         self._ledgers.add(account, "", self._host.kernel.mission.now())
-
-    def _tell_asked(self, what: str, task_id: TaskId, request: Request) -> None:
-        host = self._host
-        host.event("asked", what=what, task=task_id.name, service=host.name, by=request.by, number=request.number)
 
 
 def _result(task_id: TaskId, epoch_n: int, silent: Sequence[str]) -> dict[str, Any]:

@@ -1,30 +1,33 @@
 """Sends and receives packets that are addressed to a task (`to="task:BIRTHPLACE/NAME"`).
 
-The courier belongs to no service, because packets between tasks of one agent need no network. `SharedOutbox` holds
-what is not acknowledged yet: publishers fill it in their own threads, and the courier empties it. The rules are in
-`delivery`.
+The courier belongs to no service, because packets between tasks of one agent need no network. `Outbox` holds what is
+not acknowledged yet. The rules of each stream are in `delivery`.
 """
 
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any, Final
 
 from msgspec.structs import replace
 
 from pancakes.durable.answers import fact_of
-from pancakes.durable.courier_messages import COURIER, AskedBegan, CameFor, OwnerHeard, Say, SendUnsent
 from pancakes.durable.delivery import (
+    COURIER,
     MOST_STREAMS,
     RESEND_S,
     AskBegan,
+    AskedBegan,
+    CameFor,
     ForwardTo,
     Letter,
     LostLetters,
-    Outbox,
+    Outgoing,
     Receipt,
+    Say,
     Seek,
+    SendUnsent,
     StreamsBegan,
     ToSend,
     asked_now,
@@ -32,152 +35,229 @@ from pancakes.durable.delivery import (
 )
 from pancakes.durable.messages import REGISTRAR, Fact, Known, WhoHas
 from pancakes.durable.record import TaskId
+from pancakes.durable.register_messages import KnownCame
 from pancakes.durable.snapshot import Posted
 from pancakes.durable.store import Records
 from pancakes.errors import LocalProtocolError, MigrationError, PancakesError, RemoteProtocolError
 from pancakes.kernel.actor import ActorCore
 from pancakes.kernel.handlers import drop_oldest, on
 from pancakes.kernel.mailbox import Reference, tell
-from pancakes.mesh.codec import MAX_MESSAGE_BYTES, encode_packet, of_agent, packet_from_row, rows_from_payload
+from pancakes.mesh.codec import MAX_MESSAGE_BYTES, encode_packet, packet_from_row, rows_from_payload
 from pancakes.mesh.mesh import Mesh
 from pancakes.packet import NETWORK, TO_TASK, Packet, agent_of, join
+from pancakes.util.codecs import blake2s
 from pancakes.util.text import did_you_mean
 
 ENVELOPE_BYTES: Final = 1024
 """What a letter takes besides the packet in it, at most."""
 
 
-class SharedOutbox:
-    """An outbox that publishers fill, senders change as they move, and the courier empties. Any thread.
+class Outbox:
+    """The streams of one agent: publishers fill it, senders change it as they move, and the courier empties it.
 
-    Its lock is held for the outbox alone: no method calls anything outside.
+    Any thread. Its lock is held for its own tables alone.
+
+    A stream to which no task adds any more, because its task has gone on in another one, is kept until all of it is
+    acknowledged. What a task sends on its way out (a thread of its own, its `on_stop`) goes in the common stream: of
+    streams of its own, one for each move, there would be ever more if no agent acknowledges them.
 
     Args:
-        outbox: what is not acknowledged.
+        name: begins the names of all streams that are begun here; no other start of any agent ever had it.
+        agent: the agent.
+        secret: what no other agent can guess; the secret of each stream is drawn from it.
+
+    Attributes:
+        name: the same name.
+        agent: the same agent.
     """
 
-    def __init__(self, outbox: Outbox) -> None:
-        self._outbox = outbox
+    def __init__(self, name: str, agent: str, secret: str = "") -> None:
+        self.name = name
+        self.agent = agent
+        self._secret = secret
+        self._begun = 0
         self._lock = threading.Lock()
         self._unsent: list[ToSend] = []  # in the order in which they were numbered
+        self._common = self._begin(name)
+        self._streams: dict[str, Outgoing] = {self._common.stream: self._common}
+        self._named: dict[str, Outgoing] = {}  # by what they are called in letters
+        self._of: dict[str, Outgoing] = {}  # the streams that tasks add to, by the sender's id
+        self._left: dict[str, Outgoing | None] = {}  # those of tasks that are paused for a migration
+        self._ending: set[str] = set()  # tasks that have left for good, and whose actor has not ended
 
-    @property
-    def name(self) -> str:
-        """The name of this agent's own stream, with which the names of all its streams begin."""
-        return self._outbox.name
-
-    def post(self, packet: Packet, host: str, now_s: float) -> None:
-        """Takes a packet whose destination is a task.
+    def post(self, sender: str, task_id: TaskId, packet: bytes, host: str, now_s: float) -> None:
+        """Take a packet for a task.
 
         Args:
-            packet: the packet.
-            host: where that task is, as far as is known; used for the first packet of this sender to it only.
+            sender: the task that sends it, as `birthplace/name`; empty: the sender does not move.
+            task_id: the task that it is for.
+            packet: the packet, as the wire writes it.
+            host: where that task is, as far as the caller knows, if nothing that is kept here was ever sent to it.
             now_s: host time.
 
         Raises:
-            LocalProtocolError: the packet cannot travel.
-            MailboxFullError: too many wait for this task already.
+            MailboxFullError: too many of this sender wait for this task already.
         """
-        task_id = receiver_of(packet)
-        sender = packet.fence.task_id if packet.fence is not None else ""
         with self._lock:
-            data = encode_packet(packet)
-            if len(data) > MAX_MESSAGE_BYTES - ENVELOPE_BYTES:
-                raise LocalProtocolError(
-                    f"the packet {packet.number} of the type {packet.type!r} from {packet.source} takes {len(data)}"
-                    f" bytes, and {MAX_MESSAGE_BYTES - ENVELOPE_BYTES} may be sent to a task"
-                )
-            host = self._outbox.host_of(sender, task_id) or host
-            self._unsent += self._outbox.post(sender, task_id, data, host, now_s)
-
-    def acknowledged(self, receipt: Receipt, peer: str, now_s: float) -> None:
-        """Forgets what has had its effect."""
-        with self._lock:
-            self._unsent += self._outbox.acknowledged(receipt, peer, now_s)
-
-    def unsure_of(self, claims: Iterable[Fact]) -> list[AskBegan]:
-        """Returns what is to be asked of an agent that owns tasks: from what state each of them began there."""
-        with self._lock:
-            asked = [(str(it.task_id), self._outbox.unsure_of(str(it.task_id), it.register.epoch.n)) for it in claims]
-        return [AskBegan(task_id, streams[:MOST_STREAMS]) for task_id, streams in asked if streams]
-
-    def began(self, news: StreamsBegan, peer: str) -> None:
-        """Learns from what state a task began where it is now."""
-        with self._lock:
-            self._outbox.began(news, peer)
-
-    def take_lost(self) -> list[LostLetters]:
-        """Returns what is known to be lost, and forgets it."""
-        with self._lock:
-            return self._outbox.take_lost()
-
-    def forwarded(self, news: ForwardTo, peer: str, now_s: float) -> None:
-        """Learns of a peer where a task has gone."""
-        with self._lock:
-            self._unsent += self._outbox.forwarded(news, peer, now_s)
-
-    def look(self, now_s: float) -> None:
-        """Looks for what was not acknowledged for too long: that is to be sent again."""
-        with self._lock:
-            self._unsent += self._outbox.due(now_s)
+            stream = self._stream_of(sender)
+            self._unsent += stream.post(task_id, packet, self._host_of(stream, task_id) or host, now_s)
+            self._named[stream.name_for(str(task_id))] = stream
 
     def take_unsent(self) -> Sequence[ToSend]:
-        """Returns what is to be sent now, in order, and forgets that."""
+        """Return what is to be sent now, in order, and forget that."""
         with self._lock:
             unsent, self._unsent = self._unsent, []
         return unsent
 
-    def waiting(self) -> dict[str, int]:
-        """Returns how many packets wait for their acknowledgement, by the task that they are for."""
+    def acknowledged(self, receipt: Receipt, peer: str, now_s: float) -> None:
+        """Forget what has had its effect; what follows may be sent."""
         with self._lock:
-            return self._outbox.waiting()
+            if (stream := self._named.get(receipt.stream)) is not None:
+                self._unsent += stream.acknowledged(receipt, peer, now_s)
+                self._drop_done(stream)
+
+    def unsure_of(self, task_id: str, epoch_n: int) -> tuple[str, ...]:
+        """Return the streams, as letters to a task name them, whose letters may be lost now that an epoch owns it."""
+        with self._lock:
+            streams = self._streams.values()
+            return tuple(stream.name_for(task_id) for stream in streams if stream.is_unsure_of(task_id, epoch_n))
+
+    def began(self, news: StreamsBegan, peer: str) -> None:
+        """Learn from what state a task began where it is now."""
+        with self._lock:
+            for stream in self._streams.values():
+                stream.began(news, peer)
+
+    def take_lost(self) -> list[LostLetters]:
+        """Return what is known to be lost, and forget it."""
+        with self._lock:
+            senders = {stream.stream: sender for sender, stream in self._of.items()}
+            found = [(name, lost) for name, stream in self._streams.items() for lost in stream.take_lost()]
+        return [replace(lost, sender=senders.get(name, "")) for name, lost in found]
+
+    def forwarded(self, news: ForwardTo, peer: str, now_s: float) -> None:
+        """Learn of a peer where a task has gone; what waits for it is sent there."""
+        with self._lock:
+            for stream in self._streams.values():
+                self._unsent += stream.forwarded(news, peer, now_s)
+
+    def look(self, now_s: float) -> None:
+        """Look for what was not acknowledged for too long: that is to be sent again."""
+        with self._lock:
+            self._look(now_s)
+
+    def waiting(self) -> dict[str, int]:
+        """Return how many packets wait for their acknowledgement, by the task that they are for."""
+        waiting: dict[str, int] = {}
+        with self._lock:
+            for stream in self._streams.values():
+                for task_id, count in stream.waiting().items():
+                    waiting[task_id] = waiting.get(task_id, 0) + count
+        return waiting
 
     # A sender that moves ---------------------------------------------------------------------------------------
 
-    def leave(self, sender: TaskId) -> Posted | None:
-        """A task is paused and is about to leave: returns what it takes along of what it has sent."""
-        with self._lock:
-            return self._outbox.leave(str(sender))
+    def leave(self, sender: str) -> Posted | None:
+        """A sender is paused and is about to leave: return its stream, to which nothing may be added from now on.
 
-    def stay(self, sender: TaskId) -> None:
-        """It does not leave after all."""
+        What is in it is sent all the same: its new host will send it again under the same numbers.
+        """
         with self._lock:
-            self._outbox.stay(str(sender))
+            if sender not in self._left:
+                self._left[sender] = self._of.pop(sender, None)
+            stream = self._left[sender]
+            return stream.posted() if stream is not None else None
 
-    def gone(self, sender: TaskId, ends: bool) -> None:
-        """It has left for good; `ends`: its actor is still to end here, and `ended` is to follow."""
+    def stay(self, sender: str) -> None:
+        """It does not leave after all, and goes on with its stream."""
         with self._lock:
-            self._outbox.gone(str(sender), ends)
+            if (stream := self._left.pop(sender, None)) is not None:
+                self._of[sender] = stream
+
+    def gone(self, sender: str, ends: bool = False) -> None:
+        """It has left for good, with its stream; `ends`: its actor is still to end here, and `ended` is to follow."""
+        with self._lock:
+            if (stream := self._left.pop(sender, None)) is not None:
+                self._forget(stream)
+            if ends:
+                self._ending.add(sender)
 
     def ended(self, sender: str) -> None:
-        """The actor of a task (`birthplace/name`) that has left for good has ended."""
+        """Nothing of a sender that has left runs here any more."""
         with self._lock:
-            self._outbox.ended(sender)
+            self._ending.discard(sender)
 
-    def arrive(
-        self,
-        sender: TaskId,
-        posted: Posted | None,
-        fresh: bool,
-        now_s: float,
-        restamped: Callable[[str, float], float],
-    ) -> None:
-        """A task begins from a snapshot; `fresh`: nothing of it has run since that was taken.
+    def arrive(self, sender: str, posted: Posted | None, fresh: bool, now_s: float) -> None:
+        """A sender begins from a snapshot.
 
-        What it sent from another agent goes on from here under its address here, as no agent takes it otherwise, and
-        with stamps of the mission time here; see `of_agent`.
+        Args:
+            sender: the task.
+            posted: the stream that is in the snapshot.
+            fresh: whether nothing of it has run since; else numbers may have been given out that the snapshot does not
+                know of, so that only what is in it may be sent again, and the task begins a new stream.
+            now_s: host time.
         """
-        if posted is not None:
-            here = self._outbox.agent
-            to = [
-                replace(it, packets=tuple(of_agent(packet, here, restamped) for packet in it.packets))
-                for it in posted.to
-            ]
-            posted = replace(posted, to=tuple(to))
         with self._lock:
-            self._outbox.arrive(str(sender), posted, fresh)
+            self._ending.discard(sender)
+            if fresh or sender not in self._of:  # else it failed and begins again: its stream has never left
+                self._take_in(sender, posted, fresh)
             if posted is not None:
-                self._unsent += self._outbox.due(now_s)
+                self._look(now_s)
+
+    def _take_in(self, sender: str, posted: Posted | None, fresh: bool) -> None:
+        former = [self._left.pop(sender, None), self._of.pop(sender, None)]
+        if posted is not None:
+            if fresh or posted.stream not in self._streams:
+                arrived = self._streams[posted.stream] = Outgoing.of(posted, self.agent)
+                self._named.update(dict.fromkeys(arrived.names(), arrived))
+            stream = self._streams[posted.stream]
+            if fresh:
+                self._of[sender] = stream
+            former.append(stream)
+        for done in former:
+            if done is not None:
+                self._drop_done(done)
+
+    # With the lock held ----------------------------------------------------------------------------------------
+
+    def _look(self, now_s: float) -> None:
+        for stream in self._streams.values():
+            self._unsent += stream.due(now_s)
+
+    def _host_of(self, stream: Outgoing, task_id: TaskId) -> str:
+        """Return where a task is thought to be; empty: nothing that is kept here was ever sent to it."""
+        own = stream.host_of(task_id)
+        known = [own] if own is not None else filter(None, (it.host_of(task_id) for it in self._streams.values()))
+        return max(known, default=(-1, ""))[1]
+
+    def _stream_of(self, sender: str) -> Outgoing:
+        if not sender or sender in self._left or sender in self._ending:
+            return self._common
+        stream = self._of.get(sender)
+        if stream is None:
+            self._begun += 1
+            stream = self._of[sender] = self._begin(f"{self.name}/{self._begun}")
+            self._streams[stream.stream] = stream
+        return stream
+
+    def _begin(self, name: str) -> Outgoing:
+        # A secret of its own, as it moves with its sender, and the agent there learns it.
+        secret = blake2s(name.encode(), key=self._secret.encode(), digest_size=16).hexdigest()
+        return Outgoing(f"{name}#{secret}", self.agent)
+
+    def _drop_done(self, stream: Outgoing) -> None:
+        is_kept = self._streams.get(stream.stream) is stream  # and not another one, that has come under its name
+        if is_kept and stream is not self._common and not stream.waiting() and stream not in self._open():
+            self._forget(stream)
+
+    def _forget(self, stream: Outgoing) -> None:
+        self._streams.pop(stream.stream, None)
+        for name in stream.names():
+            self._named.pop(name, None)
+
+    def _open(self) -> Iterator[Outgoing | None]:
+        yield from self._of.values()
+        yield from self._left.values()
 
 
 def receiver_of(packet: Packet) -> TaskId:
@@ -210,7 +290,7 @@ class Courier(ActorCore):
         mesh: says what neighbours there are.
     """
 
-    def __init__(self, *args: Any, outbox: SharedOutbox, records: Records, mesh: Mesh, **others: Any) -> None:
+    def __init__(self, *args: Any, outbox: Outbox, records: Records, mesh: Mesh, **others: Any) -> None:
         super().__init__(*args, **others)
         self._outbox = outbox
         self._records = records
@@ -235,7 +315,7 @@ class Courier(ActorCore):
                 self._say(message.peer, message.body)
             case SendUnsent():
                 self._send()
-            case OwnerHeard():
+            case KnownCame():
                 self._ask_began(message)
             case _:
                 return super().take_message(message)
@@ -248,9 +328,15 @@ class Courier(ActorCore):
             LocalProtocolError: the destination is no task's, or the packet cannot travel.
             MailboxFullError: too many wait for this task already.
         """
-        task_id = receiver_of(packet)
+        task_id, data = receiver_of(packet), encode_packet(packet)
+        if len(data) > MAX_MESSAGE_BYTES - ENVELOPE_BYTES:
+            raise LocalProtocolError(
+                f"the packet {packet.number} of the type {packet.type!r} from {packet.source} takes {len(data)}"
+                f" bytes, and {MAX_MESSAGE_BYTES - ENVELOPE_BYTES} may be sent to a task"
+            )
+        sender = packet.fence.task_id if packet.fence is not None else ""
         host = self.agent if self._service_of(task_id) is not None else task_id.birthplace
-        self._outbox.post(packet, host, self.kernel.host.now())
+        self._outbox.post(sender, task_id, data, host, self.kernel.host.now())
         tell(self, SendUnsent())
 
     def _say(self, peer: str, body: Letter | Receipt | ForwardTo | StreamsBegan) -> None:
@@ -266,14 +352,18 @@ class Courier(ActorCore):
         elif isinstance(body, ForwardTo):
             self._forwarded(body, peer)
 
-    def _ask_began(self, heard: OwnerHeard) -> None:
+    def _ask_began(self, came: KnownCame) -> None:
         """Another agent owns tasks: asks what is lost of what was acknowledged for them."""
-        for asked in self._outbox.unsure_of(heard.claims):
-            self._asked.add((heard.peer, asked.task_id))
+        for fact in came.known.claims:
+            streams = self._outbox.unsure_of(str(fact.task_id), fact.register.epoch.n)
+            if not streams:
+                continue
+            asked = AskBegan(str(fact.task_id), streams[:MOST_STREAMS])
+            self._asked.add((came.peer, asked.task_id))
             try:
-                self.publish(NETWORK, asked, to=join(heard.peer, COURIER))
+                self.publish(NETWORK, asked, to=join(came.peer, COURIER))
             except PancakesError as error:
-                self.log("debug", f"{heard.peer} was not asked about {asked.task_id}: {error}")
+                self.log("debug", f"{came.peer} was not asked about {asked.task_id}: {error}")
 
     # What other couriers say -----------------------------------------------------------------------------------
 
@@ -417,6 +507,6 @@ class Courier(ActorCore):
         self._send()
 
     def _service_of(self, task_id: TaskId) -> Reference | None:
-        """Returns the service here that has a record of a task, where it runs. Any thread."""
+        """Return the service here that has a record of a task, if it runs. Any thread."""
         service = self._records.service_of(task_id)
         return self.kernel.actor(service) if service else None

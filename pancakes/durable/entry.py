@@ -3,24 +3,18 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Any
 
 import msgspec
 
 from pancakes.durable import messages
 from pancakes.durable.deadlines import Deadline
-from pancakes.durable.host_state import HostState
 from pancakes.durable.messages import CanGuard
-from pancakes.durable.peer_talk import PeerTalk
 from pancakes.durable.reconcile import Outcome
-from pancakes.durable.record import Record, TaskId
+from pancakes.durable.record import Record
 from pancakes.durable.register import BLANK, NOBODY, Epoch, Identity, Register, Stamp, Standing
 from pancakes.durable.register_messages import Feed
 from pancakes.durable.rules import Desired, Lease, Memory
-from pancakes.durable.store import Records
-from pancakes.kernel.kernel import Kernel
-from pancakes.kernel.mailbox import Reference
 from pancakes.kernel.permits import PermitEnd
 from pancakes.kernel.timer import OneShot
 from pancakes.migration import GuardRule
@@ -110,7 +104,6 @@ class Entry(msgspec.Struct):
         before: the memory as it was before that event.
         writing: what is being written; None: nothing is.
         again: what could not be written, and is tried again; None: nothing.
-        trouble: why it could not be written; empty: it could.
         waits: the events that are written and do not count yet: under which stamp, by token.
         outcomes: what became of events, which the service has still to be told.
         told: what the service was told last.
@@ -139,7 +132,6 @@ class Entry(msgspec.Struct):
     before: Memory = Memory()
     writing: Record | None = None
     again: Fed | None = None
-    trouble: str = ""
     waits: list[tuple[Stamp, int]] = msgspec.field(default_factory=list)
     outcomes: list[tuple[int, Outcome, str]] = msgspec.field(default_factory=list)
     told: tuple[Record, Desired] | None = None
@@ -170,40 +162,3 @@ class Entry(msgspec.Struct):
 def right_of(record: Record) -> Fence:
     """Return the right under which a task acts."""
     return Fence(str(record.task_id), (record.epoch.n, record.epoch.minter.agent))
-
-
-class Registering(Reference, Protocol):
-    """What the parts of the registrar may use of it. All in its actor."""
-
-    kernel: Kernel
-    me: Identity
-    talk: PeerTalk
-    records: Records
-    state: HostState
-    entries: dict[TaskId, Entry]
-
-    def feed(self, entry: Entry, fed: Fed) -> None:
-        """Deal with an event, after those that came before it."""
-
-    def feed_later(self, entry: Entry, fed: Fed) -> None:
-        """Deal with a message of this agent to itself, after what is being carried out."""
-
-    def settle(self, entry: Entry) -> None:
-        """Look after what follows from how a task stands now, and tell its service."""
-
-    def known(self, task_id: TaskId, type_name: str) -> Entry:
-        """Return what is kept of a task, from now on."""
-
-    def host(self, entry: Entry, service: str) -> None:
-        """A service is to look after a task that this agent is about to take."""
-
-    def stop_taking(self, entry: Entry) -> None:
-        """Leave a task to others."""
-
-    def publish(self, channel: str, body: Any, to: str = "") -> Any: ...
-
-    def log(self, level: str, text: str) -> None: ...
-
-    def event(self, kind: str, /, **fields: Any) -> None: ...
-
-    def after_host(self, delay_s: float, function: Callable[[], None]) -> OneShot: ...

@@ -20,7 +20,7 @@ import msgspec
 from pancakes.control import Refusal
 from pancakes.durable.installed import Installed
 from pancakes.durable.messages import Solicit
-from pancakes.durable.negotiation import HOST_ROLE, Capability, Reservation, Reservations
+from pancakes.durable.negotiation import HOST_ROLE, Capability
 from pancakes.durable.record import Record, TaskId
 from pancakes.durable.store import Records
 from pancakes.durable.times import Times
@@ -294,8 +294,8 @@ class HostState:
         self.costs = installed.costs
         self._records = records
         self._lock = threading.Lock()
-        self._hosting: dict[str, None] = {}  # the services that host tasks, also where they are stopped now
-        self._reservations = Reservations()
+        self._hosting: dict[str, None] = {}  # the services that host tasks, also those that are stopped now
+        self._reserved: dict[TaskId, tuple[str, float]] = {}  # for a task of which agent, and until when
         self.readings = OwnReadings(kernel.agent)
         self.measured: MeasuredLoad | None = None
         self.negotiated: tuple[TaskId, ...] = ()
@@ -329,34 +329,42 @@ class HostState:
             self._hosting[service] = None
 
     def reserve(self, peer: str, request: Solicit) -> Refusal | None:
-        """Keep a slot for a task that is about to come; return why it cannot, None if it does."""
-        now_s, task_id = self._kernel.host.now(), request.task_id
-        with self._lock:
-            other_peer = self._reservations.peer_of(task_id, now_s)
-            if other_peer not in ("", peer):
-                return Refusal("conflict", f"keeps room for it for {other_peer}")
+        """Keep a slot for a task that is about to come; return why it cannot, None if it does.
+
+        No safety hangs on it, and a crash empties it.
+        """
+        task_id = request.task_id
+        if (other_peer := self._kept().get(task_id, peer)) != peer:
+            return Refusal("conflict", f"keeps room for it for {other_peer}")
         self.free(task_id)
         if refusal := self.refusal_of(peer, request):
             return refusal
+        kept = self._kept()
+        if sum(it == peer for it in kept.values()) >= MOST_SLOTS:
+            return Refusal("busy", f"keeps room for {MOST_SLOTS} tasks of {peer} already", Times().slot_s)
         with self._lock:
-            if self._reservations.number(peer, now_s) >= MOST_SLOTS:
-                return Refusal("busy", f"keeps room for {MOST_SLOTS} tasks of {peer} already", Times().slot_s)
             # Another service may have kept the name since.
-            for other in self._reservations.kept(now_s):
+            for other in self._reserved:
                 if other.name == task_id.name and other != task_id:
                     return Refusal("conflict", f"has a task named {task_id.name} already ({other})")
-            self._reservations.keep(task_id, Reservation(peer, now_s + Times().slot_s))
+            self._reserved[task_id] = (peer, self._kernel.host.now() + Times().slot_s)
         return None
 
     def is_expected(self, peer: str, task_id: TaskId) -> bool:
         """Return whether room is kept for a task of an agent."""
-        with self._lock:
-            return self._reservations.peer_of(task_id, self._kernel.host.now()) == peer
+        return self._kept().get(task_id) == peer
 
     def free(self, task_id: TaskId) -> None:
         """Gives the slot for a task up, if there is one: it has arrived, or does not come."""
         with self._lock:
-            self._reservations.free(task_id)
+            self._reserved.pop(task_id, None)
+
+    def _kept(self) -> dict[TaskId, str]:
+        """Return the tasks that a slot is kept for, in order, and for which agent; drop what has expired."""
+        now_s = self._kernel.host.now()
+        with self._lock:
+            self._reserved = {task_id: it for task_id, it in sorted(self._reserved.items()) if it[1] > now_s}
+            return {task_id: peer for task_id, (peer, _) in self._reserved.items()}
 
     # What others ask -------------------------------------------------------------------------------------------
 
@@ -375,10 +383,6 @@ class HostState:
         """Returns the services that run and take tasks in."""
         services = map(self._kernel.actor, self._running())
         return [service for service in services if service is not None]
-
-    def _kept(self) -> tuple[TaskId, ...]:
-        with self._lock:
-            return self._reservations.kept(self._kernel.host.now())
 
     def imports_first(self, asker: Reference, peer: str, type: str, waiting: object) -> bool:
         """Has the importer import a task type, unless it is at hand or the peer may have this agent host no such task.
@@ -405,18 +409,15 @@ class HostState:
         if fault := self._kernel.access.fault(peer, "host", request.type):
             return Refusal("forbidden", fault)
         registry = self._kernel.registry
-        holder = self._holder_of(request.task_id.name)
-        version, fault = self._installed.version_of(request.type), self._installed.fault_of(request.type)
-        recorded = self._records.service_of(request.task_id)
         reserve = self.energy_reserve
         capability = Capability(
             role=self._role,
             devices=tuple(registry.device_types()),
-            types={request.type: version} if version is not None else {},
-            faults={request.type: fault} if fault else {},
+            version=self._installed.version_of(request.type),
+            fault=self._installed.fault_of(request.type),
             services=tuple(self._running()),
-            records={request.task_id: recorded} if recorded else {},
-            names={holder.name: holder} if holder is not None else {},
+            recorded=self._records.service_of(request.task_id),
+            holder=self._holder_of(request.task_id.name),
             costs=tuple(self.costs()),
             battery_level=self.battery_level,
             reserve_s=reserve.seconds if reserve is not None else None,

@@ -1,30 +1,25 @@
-"""What the parts of a hosting service share: the place of each task, and the service itself.
+"""What the parts of a hosting service share: the place of each task.
 
 A `Place` is everything that a service knows of one task: its slot, its record, its letters and its pending requests.
-`HostingService` is what the parts may use of the service. Everything here belongs to one actor and needs no lock.
+Everything here belongs to one actor and needs no lock.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Final, Protocol
+from typing import Final
 
 import msgspec
 
-from pancakes.control import Refusal
 from pancakes.durable.bidding_messages import HasMoved
-from pancakes.durable.courier import SharedOutbox
 from pancakes.durable.delivery import STREAMS, Letter, PacketId
-from pancakes.durable.host_state import HostState
 from pancakes.durable.messages import Solicit
-from pancakes.durable.reconcile import AnyEvent, Course, Outcome, Write
+from pancakes.durable.reconcile import Course, Outcome, Write
 from pancakes.durable.record import Record, TaskId
 from pancakes.durable.register import Epoch, Identity
-from pancakes.durable.snapshot import Posted, Snapshot, why_unwritable
+from pancakes.durable.snapshot import why_unwritable
 from pancakes.errors import MigrationError
 from pancakes.kernel.dead_letters import MOST_KNOWN
-from pancakes.kernel.handlers import Queue
-from pancakes.kernel.kernel import Kernel
 from pancakes.kernel.mailbox import Reference
 from pancakes.kernel.registry import SettingsNote
 from pancakes.kernel.timer import TaskTimer
@@ -33,7 +28,7 @@ from pancakes.packet import Packet
 from pancakes.supervision.lifecycle import Request
 from pancakes.supervision.messages import Carried
 from pancakes.supervision.slots import Slot
-from pancakes.task import Nothing, Task, TaskSpec
+from pancakes.task import TaskSpec
 from pancakes.util import codecs
 from pancakes.util.arrays import saved_array
 
@@ -65,17 +60,6 @@ class LastCheckpoint(msgspec.Struct, frozen=True):
         )
 
 
-def last_checkpoint(cls: type[Task], carried: Carried, plain: bytes) -> LastCheckpoint:
-    """Returns what is remembered of a checkpoint.
-
-    Args:
-        cls: the task's class.
-        carried: what it carries.
-        plain: the same, encoded.
-    """
-    return LastCheckpoint(plain, carried if cls.State is Nothing else None)
-
-
 def plain_of(carried: Carried) -> bytes:
     """Returns what a task carries as bytes, which are the same as long as nothing has changed.
 
@@ -98,9 +82,9 @@ KEPT_BYTES: Final = 4 * 1024 * 1024
 
 
 MOST_GIVEN: Final = 1024
-"""So many letters of one agent a task has still to look at, ..."""
+"""At most this many letters of one agent wait for a task to look at them, ..."""
 MOST_GIVEN_BYTES: Final = 16 * 1024 * 1024
-"""... and so many bytes of them; of more, the agent keeps them and sends them again. One may always be given."""
+"""... and this many bytes of them; of more, the agent keeps them and sends them again. One may always be given."""
 
 
 class TaskLetters(msgspec.Struct):
@@ -127,7 +111,7 @@ class TaskLetters(msgspec.Struct):
     given_of: dict[str, tuple[int, int]] = {}
 
     def give(self, task: Reference, letter: Letter, packet: Packet | None) -> bool:
-        """Learns that an actor is given a letter; returns False where it has that still to look at, or too many."""
+        """Learns that an actor is given a letter; returns False if it has still to look at that, or at too many."""
         if self.given_to is not task:
             self.given_to, self.given, self.given_of = task, {}, {}
         place = (letter.stream, letter.seq, letter.first)
@@ -167,7 +151,7 @@ class TaskLetters(msgspec.Struct):
             del self.owed[next(iter(self.owed))]
 
     def keep(self, letter: Letter, packet: Packet | None) -> bool:
-        """Keeps a letter that is acknowledged before it is on disk; returns False where there is no room for it."""
+        """Keeps a letter that is acknowledged before it is on disk; returns False if there is no room for it."""
         key = (letter.stream, letter.seq)
         if key not in self.kept:
             if len(self.kept) >= KEPT or self.kept_bytes >= KEPT_BYTES:
@@ -201,7 +185,7 @@ class Move(msgspec.Struct):
     Attributes:
         request: what the neighbours are asked.
         then: a task to start here once the other has gone.
-        answer: the request to answer; None where a rule asked.
+        answer: the request to answer; None: a rule asked.
         dry_run: whether nothing is to be moved.
         ledger: the account as it stands while a migration is under way; None before the first, and between two.
     """
@@ -265,12 +249,12 @@ class OtherOwner(msgspec.Struct, frozen=True):
 
 
 class BeganFrom(msgspec.Struct, frozen=True):
-    """What a task began from where it is owned.
+    """From what state a task began on the agent that owns it.
 
     Attributes:
         epoch_n: the number of the epoch under which it began.
         heard: the duplicate filter in the snapshot that it began from.
-        life: as `began_life` of `pancakes.durable.delivery.Receipt`.
+        life: as `began_life` of `pancakes.durable.delivery.Receipt`; 0 if it has just come under that epoch.
     """
 
     epoch_n: int
@@ -281,11 +265,6 @@ class BeganFrom(msgspec.Struct, frozen=True):
         """Returns up to which letter of a stream it had the effects; -1: that is not known."""
         # Of more streams than it remembers it has forgotten some.
         return self.heard.get(stream, 0 if len(self.heard) < STREAMS else -1)
-
-
-def began_from(epoch: Epoch, snapshot: Snapshot, life: int = 0) -> BeganFrom:
-    """Returns what a task begins from that is owned under an epoch; `life`: 0 where it has just come under that."""
-    return BeganFrom(epoch.n, snapshot.heard, life)
 
 
 class Unsure(msgspec.Struct, frozen=True):
@@ -306,18 +285,20 @@ SURE: Final = Unsure()
 """Its agent knows what it must know."""
 
 
-class Pending(msgspec.Struct, frozen=True):
+class Pending(msgspec.Struct):
     """A write that the registrar was told of.
 
     Attributes:
         place: the place of its task.
         write: what it is for, if the machine of the task asked for it; None: something else did.
         then: hears what became of it; None: the machine does.
+        written: whether it is on disk, or never will be.
     """
 
     place: Place
     write: Write | None = None
     then: Callable[[Outcome, str], None] | None = None
+    written: bool = False
 
 
 class Place(msgspec.Struct):
@@ -341,6 +322,7 @@ class Place(msgspec.Struct):
         creation: the creation that waits for its start; None: none.
         removal: the request to remove it that waits for its end, or for the disk; None: none.
         follows: the task that it is started after; None: none.
+        to_follow: how much of what follows its migration is still to be done.
         other: the agent that said of all others that it owns it under the highest epoch; None: none has said so.
         unsure: why it does not run, if this agent does not know what it must know.
         unwritable: whether what it carries could not be written down when it was last looked at.
@@ -363,6 +345,7 @@ class Place(msgspec.Struct):
     creation: Creation | None = None
     removal: Request | None = None
     follows: TaskId | None = None
+    to_follow: int = 0
     other: OtherOwner | None = None
     unsure: Unsure = SURE
     unwritable: bool = False
@@ -373,11 +356,6 @@ class Place(msgspec.Struct):
     def record(self) -> Record:
         """What is on disk."""
         return self.course.record
-
-    @property
-    def idle(self) -> bool:
-        """Whether nothing is being written, and no migration is under way: a checkpoint may be."""
-        return self.course.settled
 
     @property
     def owes(self) -> bool:
@@ -425,7 +403,7 @@ class Places(dict[TaskId, Place]):
             self._by_name.setdefault(place.task_id.name, []).append(place)
 
     def drop(self, place: Place) -> None:
-        """Forgets a place where nothing has come of what was asked, and of which there is no record."""
+        """Forget a place without a record, if nothing has come of what was asked."""
         if self.pop(place.task_id, None) is not None:
             self._by_name[place.task_id.name].remove(place)
 
@@ -434,7 +412,7 @@ class Places(dict[TaskId, Place]):
         return list(self._by_name.get(name, ()))
 
     def bind(self, name: str) -> None:
-        """Finds out anew which place the slot of a name belongs to: a record has changed, or the slot has."""
+        """Find out again which place the slot of a name belongs to: a record has changed, or the slot has."""
         for place in self._by_name.get(name, ()):
             place.slot = None
         slot = self._slots.get(name)
@@ -445,75 +423,3 @@ class Places(dict[TaskId, Place]):
         place = here[0] if here else self[TaskId(self._me.agent, name)]
         place.slot = slot
         self.at[name] = place
-
-
-class HostingService(Reference, Protocol):
-    """A service that hosts tasks. All in its actor."""
-
-    me: Identity
-    boot: int
-    kernel: Kernel
-    slots: dict[str, Slot]
-    places: Places
-    residents: frozenset[str]
-    outbox: SharedOutbox
-    state: HostState
-    closing: bool
-
-    def subscribe(
-        self, channel: str, body: type | str | None, handler: Callable[[Packet], None], queue: Queue = ...
-    ) -> None: ...
-
-    def feed_place(self, place: Place, event: AnyEvent | None) -> None:
-        """Feeds an event to a task, and carries out what follows; None: nothing has happened to it."""
-
-    def snapshot(self, slot: Slot, carried: Carried | None, posted: Posted | None = None) -> bytes:
-        """Returns a task as data, encoded."""
-
-    def snapshot_at_rest(self, slot: Slot) -> bytes:
-        """Returns a task that does not run as data, encoded; empty: what its record has is what counts."""
-
-    def look_after(self, place: Place, request: Request) -> None:
-        """Sees to it that a request which waits for the journal is told so in time."""
-
-    def drop_state(self, slot: Slot) -> None: ...
-
-    def admit(self, slot: Slot) -> str: ...
-
-    def tell_registrar(
-        self,
-        place: Place,
-        event: Any,
-        then: Callable[[Outcome, str], None] | None = None,
-        *,
-        write: Write | None = None,
-        sequel: bytes = b"",
-        is_checkpoint: bool = False,
-    ) -> None:
-        """Feed an event to the register of a task."""
-
-    def on_disk(self, place: Place, packet: PacketId) -> None:
-        """A letter, and all before it in its stream, have had their effect for good."""
-
-    def connected(self, agent: str) -> bool:
-        """Returns whether there is a link to an agent now."""
-
-    def open_slot(self, spec: TaskSpec) -> Slot: ...
-
-    def hold_actuators(self, slot: Slot, reason: str) -> None: ...
-
-    def reply(self, request: Request, refusal: Refusal | None = None, result: Any = None) -> None: ...
-
-    def put_off(self, request: Request, reason: str) -> None: ...
-
-    def waits(self, request: Request) -> bool: ...
-
-    def publish(self, channel: str, body: Any, to: str = "") -> Any: ...
-
-    def log(self, level: str, text: str) -> None: ...
-
-    def event(self, kind: str, /, **fields: Any) -> None: ...
-
-    def call(self, function: Callable[[], None]) -> Any: ...
-
-    def after_host(self, delay_s: float, function: Callable[[], None]) -> Any: ...

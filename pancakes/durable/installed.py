@@ -50,14 +50,14 @@ class Installed:
         return self._plugins.at_hand("pancakes.tasks", type_name)
 
     def version_of(self, type_name: str) -> str | None:
-        """Returns the version in which a task type is installed and can be imported; None where it is not."""
+        """Returns the version in which a task type is installed and can be imported; None: it is not."""
         try:
             return self.find(type_name)[1]
         except PluginError:
             return None
 
     def fault_of(self, type_name: str) -> str:
-        """Returns why a task type cannot be had that is installed; empty where it can, or none is installed."""
+        """Returns why an installed task type cannot be loaded; empty: it can, or is not installed."""
         try:
             self.find(type_name)
         except UnknownPluginError:

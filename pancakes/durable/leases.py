@@ -14,7 +14,7 @@ import msgspec
 
 from pancakes.durable import messages, rules
 from pancakes.durable.deadlines import Deadlines
-from pancakes.durable.entry import Entry, Fed, Held, Registering, right_of
+from pancakes.durable.entry import Entry, Fed, Held, right_of
 from pancakes.durable.messages import MOST_AGE_S, REGISTRAR, CanGuard, MayGuard, choose
 from pancakes.durable.record import Record
 from pancakes.durable.register import (
@@ -24,6 +24,7 @@ from pancakes.durable.register import (
     Register,
     Wanted,
     is_quorum,
+    members_in,
 )
 from pancakes.durable.snapshot import rules_of
 from pancakes.errors import MigrationError
@@ -32,6 +33,7 @@ from pancakes.packet import Fence, join
 
 if TYPE_CHECKING:
     from pancakes.durable.register_messages import Guarded
+    from pancakes.durable.registrar import Registrar
 
 REPLACED_S: Final = 60.0
 """A member that has said nothing for this long is replaced if there is another agent that can be one, in host time."""
@@ -53,7 +55,7 @@ class Leases:
         deadlines: those of its actor.
     """
 
-    def __init__(self, registrar: Registering, deadlines: Deadlines) -> None:
+    def __init__(self, registrar: Registrar, deadlines: Deadlines) -> None:
         self._registrar = registrar
         self._deadlines = deadlines
         self._choosing = False
@@ -78,6 +80,8 @@ class Leases:
             self._begin(entry)
         held = entry.held
         assert held is not None
+        for one in record.members:
+            held.heard_s.setdefault(one, self._now_s)
         if record.register.clockless:
             permits.free(str(record.task_id))
         elif permits.begin(right_of(record)):
@@ -188,8 +192,6 @@ class Leases:
         held.told = record.register.stamp
         is_slow = record.removed and entry.counted >= record.register.stamp  # the rest is told when it is back
         held.renewal.set(REPLACED_S if is_slow else record.lease_s / RENEWED)
-        for one in record.members:
-            held.heard_s.setdefault(one, self._now_s)
         self._registrar.feed(entry, Fed(rules.Beat(held.beat)))
 
     def state_for(self, entry: Entry, receiver: Identity, register: Register, beat: int) -> tuple[bytes | None, float]:
@@ -343,11 +345,8 @@ class Leases:
             self._registrar.feed(entry, Fed(rules.SetMembers(chosen)))
 
     def _silent(self, entry: Entry, held: Held, since_s: float) -> list[Identity]:
-        now_s = self._now_s
-        for one in entry.record.members:
-            held.heard_s.setdefault(one, now_s)
         others = [one for one in entry.record.members if one != self._registrar.me]
-        return [one for one in others if now_s - held.heard_s[one] >= since_s]
+        return [one for one in others if self._now_s - held.heard_s.get(one, self._now_s) >= since_s]
 
     # For people ------------------------------------------------------------------------------------------------
 
@@ -356,8 +355,6 @@ class Leases:
         if held.rule is None and not record.guarded:
             self._registrar.kernel.guard_notes.drop(self._address(record))
             return
-        for one in record.members:
-            held.heard_s.setdefault(one, now_s)
         held.as_of_s.setdefault(record.register.no, now_s)
         while len(held.as_of_s) > REMEMBERED:
             del held.as_of_s[next(iter(held.as_of_s))]
@@ -415,15 +412,12 @@ class GuardNote(msgspec.Struct, frozen=True):
     as_of_s: Mapping[int, float]
     copied: bool = False
 
-    @property
-    def members(self) -> list[Identity]:
-        """All members, each once."""
-        return list(dict.fromkeys(member for one in self.register.sets for member in one))
-
     def answering(self, now_s: float) -> int:
         """Return how many members have said something within a lease."""
         me = self.register.owner
-        return sum(one == me or now_s - self.heard_s.get(one, -1e9) < self.lease_s for one in self.members)
+        return sum(
+            one == me or now_s - self.heard_s.get(one, -1e9) < self.lease_s for one in members_in(self.register.sets)
+        )
 
     @property
     def replicated_no(self) -> int:
@@ -464,6 +458,6 @@ class GuardNote(msgspec.Struct, frozen=True):
                     "age_s": self._age_s(self.has.get(one, -1), now_s),
                     "silent_s": now_s - self.heard_s.get(one, now_s) if one != self.register.owner else 0.0,
                 }
-                for one in self.members
+                for one in members_in(self.register.sets)
             ],
         }

@@ -12,7 +12,7 @@ checks it on the way in.
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable
-from typing import Annotated, Final, Protocol, TypeVar
+from typing import Annotated, Final, TypeVar
 
 import msgspec
 from msgspec.structs import replace
@@ -290,6 +290,11 @@ class Known(msgspec.Struct, frozen=True):
     task_ids: _Asked
     facts: Annotated[tuple[Fact, ...], msgspec.Meta(max_length=MOST_ASKED)]
 
+    @property
+    def claims(self) -> list[Fact]:
+        """What it says of the tasks that it owns."""
+        return [fact for fact in self.facts if fact.register.owner == self.by and not fact.removed]
+
 
 @packet_type("task.boot")
 class BootRemembered(msgspec.Struct, frozen=True):
@@ -367,19 +372,12 @@ ToPeer = OfRegister | Bidding
 _M = TypeVar("_M", bound=msgspec.Struct)
 
 
-class ForJournal(Protocol):
-    """A message that is meant for an agent with one journal, and none that it had before."""
-
-    @property
-    def journal(self) -> str: ...
-
-
 def addressed(message: _M, journal: str) -> _M:
     """Return the message, meant for the agent whose journal has the id `journal`."""
     return replace(message, journal=journal)
 
 
-def is_for(message: ForJournal, journal: str) -> bool:
+def is_for(message: ToPeer, journal: str) -> bool:
     """Return whether the agent whose journal has the id `journal` may believe the message."""
     return message.journal == journal
 

@@ -7,7 +7,9 @@ migration asks of the task: pause, resume, leave. All in the service's actor.
 from __future__ import annotations
 
 from functools import partial
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
+
+from msgspec.structs import replace
 
 from pancakes.control import Describe, Migrate, Refusal, Remove, Stop
 from pancakes.durable.after_migration import Sequel
@@ -15,14 +17,13 @@ from pancakes.durable.bidding_messages import (
     MIGRATOR,
     AttemptOver,
     BidAwarded,
-    BrokenOff,
     HasMoved,
     MoveOver,
     Negotiate,
     ServiceBegan,
 )
-from pancakes.durable.hosting import HostingService, Move, Place
-from pancakes.durable.messages import REGISTRAR, Solicit
+from pancakes.durable.hosting import Move, Place
+from pancakes.durable.messages import REGISTRAR
 from pancakes.durable.reconcile import (
     AttemptFailed,
     Award,
@@ -30,7 +31,6 @@ from pancakes.durable.reconcile import (
     FreezeFailed,
     Frozen,
     HandedOver,
-    PartConcluded,
     RestOverdue,
     StartWanted,
     StillOverdue,
@@ -46,17 +46,18 @@ from pancakes.kernel.handlers import LATEST
 from pancakes.kernel.mailbox import tell
 from pancakes.migration import (
     AGAIN_S,
-    CostChoice,
     MigrationReport,
     MigrationRule,
     cost_text,
     fault_of_choice,
-    is_of_core,
 )
 from pancakes.packet import SYSCTRL, SYSTEM, Fence, Packet, agent_of, join
 from pancakes.supervision.lifecycle import RESTS, Request, State
 from pancakes.supervision.messages import Carried, GoOn, StandStill
 from pancakes.supervision.slots import CHANGES, STUCK_S, Slot
+
+if TYPE_CHECKING:
+    from pancakes.durable.client_service import ClientServiceCore
 
 
 class Departures:
@@ -66,7 +67,7 @@ class Departures:
         host: the service.
     """
 
-    def __init__(self, host: HostingService) -> None:
+    def __init__(self, host: ClientServiceCore) -> None:
         self._host = host
 
     def freeze(self, slot: Slot, place: Place, effect: Freeze) -> StoodStill | None:
@@ -82,9 +83,9 @@ class Departures:
         self._host.hold_actuators(slot, "its task is handed over")
         assert isinstance(effect.carried, Carried)
         try:
-            snapshot = self._host.snapshot(slot, effect.carried, self._host.outbox.leave(place.task_id))
+            snapshot = self._host.snapshot(slot, effect.carried, self._host.outbox.leave(str(place.task_id)))
         except PancakesError as error:
-            self._host.outbox.stay(place.task_id)
+            self._host.outbox.stay(str(place.task_id))
             self.let_go_on(slot, place)
             return FreezeFailed(str(error))
         self._host.event("task_frozen", task=slot.name, offer=place.record.epoch.n)
@@ -114,7 +115,7 @@ class Departures:
 
     def resume(self, place: Place, slot: Slot | None) -> None:
         """Lets a task go on that does not leave after all."""
-        self._host.outbox.stay(place.task_id)
+        self._host.outbox.stay(str(place.task_id))
         if slot is not None and slot.task is not None:
             self._host.event("task_resumed", task=slot.name)
             self.let_go_on(slot, place)
@@ -124,7 +125,7 @@ class Departures:
         self._host.kernel.registry.unreserve(join(self._host.address, place.task_id.name))
         # What it was, down to the last byte of its state, is elsewhere now.
         place.came_from, place.letters, place.written, place.ask_again_s = "", None, None, 0.0
-        self._host.outbox.gone(place.task_id, ends)
+        self._host.outbox.gone(str(place.task_id), ends)
         if ends and slot is not None:
             # At once: what its `on_stop` may still command must not reach a wheel that the new owner's host may need.
             self._host.hold_actuators(slot, "its task was handed over")
@@ -157,7 +158,7 @@ class Mover:
         host: the service.
     """
 
-    def __init__(self, host: HostingService) -> None:
+    def __init__(self, host: ClientServiceCore) -> None:
         self._host = host
         self._broken_off: list[tuple[Record, MigrationReport]] = []  # by the end of this service's predecessor
         self._watched: list[str] = []
@@ -169,7 +170,8 @@ class Mover:
             reason = f"{self._host.address} was started again before {ledger.winner} had the task"
             stayed = ledger.stayed(str(record.epoch), reason)
             self._host.kernel.tell(REGISTRAR, Concluded(record.task_id))
-            self._host.kernel.tell(MIGRATOR, BrokenOff(self._host, record.task_id, stayed, reason))
+            over = AttemptOver(self._host, record.task_id, "", Refusal("conflict", reason), stayed)
+            self._host.kernel.tell(MIGRATOR, over)
         self._host.kernel.tell(MIGRATOR, ServiceBegan(self._host))
 
     def found(self, record: Record) -> None:
@@ -220,7 +222,7 @@ class Mover:
         Args:
             slot: the task.
             body: what is asked for.
-            answer: the request to answer; None where a rule asks.
+            answer: the request to answer; None: a rule asks.
 
         Raises:
             ControlRefusedError: the task cannot move now.
@@ -247,39 +249,18 @@ class Mover:
             raise ControlRefusedError(
                 f"{slot.address} cannot move: the Network Service of {host.agent} is stopped", "unable"
             )
-        offer = self._offer(place, body.cost)
         self._asks += 1
-        rule = slot.spec.rule
-        request = Solicit(
-            place.task_id,
-            self._asks,
-            slot.spec.type,
-            slot.spec.version,
-            host.name,
-            slot.spec.cls.requires,
-            body.cost,
-            rule.least_level if rule is not None else None,
-            offer,
-            least_reserve_s=rule.least_reserve_s if rule is not None else None,
-        )
+        snapshot = replace(Snapshot.decode(place.record.snapshot), version=slot.spec.version)
+        try:
+            request = snapshot.solicit(self._asks, body.cost, slot.spec.rule)
+        except MigrationError as error:
+            raise ControlRefusedError(
+                f"{place.task_id} cannot move for the cost {cost_text(body.cost)}: {error}", "unable"
+            ) from None
         place.move = Move(request, body.then, answer, body.dry_run)
         asked_by = answer.by if answer is not None else "rule"
         host.event("migration_asked", task=slot.name, by=asked_by, cost=cost_text(body.cost), to=body.to)
         host.kernel.tell(MIGRATOR, Negotiate(self._host, request, asked_by, body.to, body.dry_run))
-
-    def _offer(self, place: Place, cost: CostChoice) -> bytes:
-        """Returns what bidders are told of a task.
-
-        Raises:
-            ControlRefusedError: that is too much.
-        """
-        record = place.record
-        try:
-            return Snapshot.decode(record.snapshot).offer() if record.snapshot and not is_of_core(cost) else b""
-        except MigrationError as error:
-            raise ControlRefusedError(
-                f"{place.task_id} cannot move for the cost {cost_text(cost)}: {error}", "unable"
-            ) from None
 
     def follower_of(self, slot: Slot, name: str) -> Place:
         """Return the place of the task that is to start in the place of another one, which is being stopped.
@@ -331,15 +312,16 @@ class Mover:
 
     # What the Task Migrator tells ------------------------------------------------------------------------------
 
-    def heard(self, place: Place, message: BidAwarded | MoveOver) -> Award | PartConcluded | None:
-        """The agent with the lowest bid keeps room for the task, or a migration is over; return what follows."""
+    def heard(self, place: Place, message: BidAwarded | MoveOver) -> None:
+        """The agent with the lowest bid keeps room for the task, or a migration is over."""
         if isinstance(message, MoveOver):
-            return self._over(place, message)
+            self._over(place, message)
+            return
         if place.move is not None:
             place.move.ledger = message.ledger
-        return Award(message.heir)
+        self._host.feed_place(place, Award(message.heir))
 
-    def _over(self, place: Place, over: MoveOver) -> PartConcluded | None:
+    def _over(self, place: Place, over: MoveOver) -> None:
         move, place.move = place.move, None
         if move is not None and move.answer is not None:
             self._host.reply(move.answer, Refusal.if_any(over.reason), over.result)
@@ -347,10 +329,9 @@ class Mover:
             rule = place.slot.spec.rule if place.slot is not None and move.answer is None else None
             why = f"{over.task_id} stays on {self._host.agent}: {over.reason}"
             self._refused(place, rule, why, "info" if move.answer is not None else "warning")
-        if place.account is None or over.reason:
-            return None
-        place.account = None
-        return PartConcluded()
+        if place.account is not None and not over.reason:
+            place.account = None
+            self._has_followed(place)
 
     def _refused(self, place: Place, rule: MigrationRule | None, why: str, level: str = "warning") -> None:
         """No agent takes a task now. Where its rule has asked, that says what is done then.
@@ -377,7 +358,7 @@ class Mover:
         host.feed_place(host.places.at[other.name], StartWanted())
 
     def migrator_began(self) -> None:
-        """The migrator has started anew and knows of no negotiation: the requests that wait are answered.
+        """The migrator has started again and knows of no negotiation: the requests that wait are answered.
 
         A migration under way goes on without it, and with it the move.
         """
@@ -399,7 +380,7 @@ class Mover:
     def handed_over(self, place: Place, effect: HandedOver) -> None:
         """Another agent has the task: does what is to follow."""
         self._host.event("task_handed_over", task=place.task_id.name, to=effect.peer, epoch=effect.epoch.n)
-        sequel = self._read(place.task_id, effect.sequel)
+        sequel, place.to_follow = self._read(place.task_id, effect.sequel), 2  # its account, and another task
         # In a turn of its own: after a restart of the agent this comes while the other tasks are being started.
         self._host.call(lambda: self._conclude(place, effect, sequel))
 
@@ -430,9 +411,15 @@ class Mover:
             return
         if reason:
             host.log("error", reason)
-        host.feed_place(gone, PartConcluded())
+        self._has_followed(gone)
 
     def followed(self, place: Place, gone: TaskId) -> None:
         """The start of a task that follows another one is decided."""
         place.follows = None
-        self._host.feed_place(self._host.places[gone], PartConcluded())
+        self._has_followed(self._host.places[gone])
+
+    def _has_followed(self, gone: Place) -> None:
+        """A part of what follows a migration is done; once all is, the record of the task says so."""
+        gone.to_follow -= 1
+        if not gone.to_follow:
+            self._host.kernel.tell(REGISTRAR, Concluded(gone.task_id))

@@ -1,10 +1,9 @@
 """Bidding without its actors: whether an agent can take a task, and which bid wins. Pure.
 
-`Capability` compares what a task needs with what an agent has. `Reservations` are the slots kept for tasks that are
-about to arrive. `Negotiation` collects the answers of the neighbours and keeps the account. Once one neighbour has
-bid, the others have half a second; before that, silence is tolerated longer, because a neighbour may have to import
-the task's class first. The cheapest bid wins, ties by name. If the migration to it fails, the next bid wins. The task
-runs on meanwhile.
+`Capability` compares what a task needs with what an agent has. `Negotiation` collects the answers of the neighbours
+and keeps the account. Once one neighbour has bid, the others have half a second; before that, silence is tolerated
+longer, because a neighbour may have to import the task's class first. The cheapest bid wins, ties by name. If the
+migration to it fails, the next bid wins. The task runs on meanwhile.
 """
 
 from __future__ import annotations
@@ -33,28 +32,28 @@ RESERVE_FACTOR: Final = 2.0
 
 
 class Capability(msgspec.Struct, frozen=True):
-    """What an agent has to offer to a task, at the moment of asking.
+    """What an agent has to offer to one task, at the moment of asking.
 
     Attributes:
         role: its role on the mesh.
         devices: the types of its devices.
-        types: the task types that it knows, with the version of the distribution they come from.
-        faults: for each task type that is installed and cannot be loaded, why.
+        version: the version of the distribution that the task's type comes from here; None: it is not known here.
+        fault: why that type cannot be loaded, if it is installed; empty: it can, or is not.
         services: the services that run here and take tasks in.
-        records: for each task of which there is a record here, the service that has it.
-        names: which task each name here belongs to: those that run, are stopped, or are about to arrive.
+        recorded: the service that has a record of the task here; empty: none has.
+        holder: the task here that has the task's name, which runs, is stopped, or is about to arrive; None: none.
         costs: the cost functions that it knows.
-        battery_level: what is left of its battery, 0 to 1; None where it has none.
+        battery_level: what is left of its battery, 0 to 1; None: it has none.
         reserve_s: the seconds of its newest `reserve`; None: there has been none.
     """
 
     role: str = HOST_ROLE
     devices: tuple[str, ...] = ()
-    types: Mapping[str, str] = msgspec.field(default_factory=dict)
-    faults: Mapping[str, str] = msgspec.field(default_factory=dict)
+    version: str | None = None
+    fault: str = ""
     services: tuple[str, ...] = ("client",)
-    records: Mapping[TaskId, str] = msgspec.field(default_factory=dict)
-    names: Mapping[str, TaskId] = msgspec.field(default_factory=dict)
+    recorded: str = ""
+    holder: TaskId | None = None
     costs: tuple[str, ...] = ("tasks",)
     battery_level: float | None = None
     reserve_s: float | None = None
@@ -83,9 +82,8 @@ class Capability(msgspec.Struct, frozen=True):
         if request.service not in self.services:
             there = f"only {', '.join(self.services)}" if self.services else "nor any other"
             return f"runs no service {request.service!r} that takes tasks in, {there}"
-        record = self.records.get(request.task_id, request.service)
-        if record != request.service:
-            return f"has a record of {request.task_id} in its service {record!r}, not in {request.service!r}"
+        if self.recorded not in ("", request.service):
+            return f"has a record of {request.task_id} in its service {self.recorded!r}, not in {request.service!r}"
         return ""
 
     def _devices(self, request: Solicit) -> str:
@@ -96,18 +94,16 @@ class Capability(msgspec.Struct, frozen=True):
         return f"lacks the {kind} {', '.join(lacking)}"
 
     def _type(self, request: Solicit) -> str:
-        here = self.types.get(request.type)
-        if here is None:
-            return self.faults.get(request.type, f"knows no task type {request.type!r}")
-        if not compatible(request.version, here):
-            return f"has {request.type} in version {here}, not {request.version}"
+        if self.version is None:
+            return self.fault or f"knows no task type {request.type!r}"
+        if not compatible(request.version, self.version):
+            return f"has {request.type} in version {self.version}, not {request.version}"
         return ""
 
     def _name(self, request: Solicit) -> str:
-        holder = self.names.get(request.task_id.name)
-        if holder is None or holder == request.task_id:
+        if self.holder in (None, request.task_id):
             return ""
-        return f"has a task named {request.task_id.name} already ({holder})"
+        return f"has a task named {request.task_id.name} already ({self.holder})"
 
     def _cost(self, request: Solicit) -> str:
         unknown = [name for name in names_of(request.cost) if name not in self.costs]
@@ -152,47 +148,6 @@ def _line_of(version: str) -> tuple[str, ...]:
     return tuple(line)
 
 
-class Reservation(msgspec.Struct, frozen=True):
-    """A place kept for one task.
-
-    Attributes:
-        peer: the agent that it would come from.
-        until_s: host time at which it is given up.
-    """
-
-    peer: str
-    until_s: float
-
-
-class Reservations:
-    """Keeps the slots, at most one for each task. Advisory: no safety hangs on it, and a crash empties it."""
-
-    def __init__(self) -> None:
-        self._slots: dict[TaskId, Reservation] = {}
-
-    def keep(self, task_id: TaskId, slot: Reservation) -> None:
-        """Keeps a slot; it replaces an older one for the same task."""
-        self._slots[task_id] = slot
-
-    def free(self, task_id: TaskId) -> None:
-        """Gives the slot for a task up, if there is one: it has arrived, or does not come."""
-        self._slots.pop(task_id, None)
-
-    def peer_of(self, task_id: TaskId, now_s: float) -> str:
-        """Returns the agent that a slot for a task is kept for at `now_s` (host time); empty: none is."""
-        slot = self._slots.get(task_id)
-        return slot.peer if slot is not None and slot.until_s > now_s else ""
-
-    def number(self, peer: str, now_s: float) -> int:
-        """Returns how many slots are kept for a peer at `now_s` (host time)."""
-        return sum(slot.peer == peer and slot.until_s > now_s for slot in self._slots.values())
-
-    def kept(self, now_s: float) -> tuple[TaskId, ...]:
-        """Returns the tasks that a slot is kept for at `now_s` (host time), in order; drops what has expired."""
-        self._slots = {task_id: slot for task_id, slot in self._slots.items() if slot.until_s > now_s}
-        return tuple(sorted(self._slots))
-
-
 MOST_TERMS: Final = 64
 """A bid has no more terms, ..."""
 MOST_LETTERS: Final = 1000
@@ -222,7 +177,7 @@ Outcome = Awarded | Exhausted
 class Negotiation:
     """One asking for bids, until the task has moved or stays.
 
-    Each method that may decide something returns an `Outcome`, or None where nothing is decided by it.
+    Each method that may decide something returns an `Outcome`, or None if nothing is decided by it.
 
     Args:
         request: what is asked; sent to each of `asked` by the caller.
@@ -232,8 +187,8 @@ class Negotiation:
         now_s: host time.
         to: the only neighbour to ask; empty: all.
         dry_run: compare, and move nothing.
-        window_s: how long to wait for other answers where a bid has come, in host time.
-        patience_s: how long to wait where none has.
+        window_s: how long to wait for other answers once a bid has come, in host time.
+        patience_s: how long to wait if none has.
         cause: as in `MigrationReport`.
 
     Attributes:
@@ -278,11 +233,11 @@ class Negotiation:
 
     @property
     def chosen(self) -> str:
-        """The neighbour that the migration is under way to, or that has the task; empty where none."""
+        """The neighbour that the migration is under way to, or that has the task; empty: none."""
         return self._chosen
 
     def begin(self, now_s: float) -> Outcome | None:
-        """Begins. To be called before the answers come; decides at once where there is no neighbour to ask."""
+        """Begins. To be called before the answers come; decides at once if there is no neighbour to ask."""
         return None if self.asked else self._close(now_s)
 
     def bid(self, peer: str, cost: float, terms: Mapping[str, float], now_s: float) -> Outcome | None:

@@ -11,7 +11,7 @@ from typing import Any, Final
 from pancakes.durable.market import Market
 
 MOST_NODES: Final = 20_000
-"""After so many nodes of its search tree the solver gives up. A limit of time would give other results each time."""
+"""The solver gives up after this many nodes of its search tree. A limit of time would give other results each time."""
 
 
 def has_solver() -> bool:

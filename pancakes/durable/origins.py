@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, Final, Protocol
+from typing import Final
 
 import msgspec
 
@@ -12,6 +12,7 @@ from pancakes.durable.messages import REGISTRAR, Fact, Known, WhoHas
 from pancakes.durable.record import Record, TaskId
 from pancakes.durable.store import Records
 from pancakes.errors import PancakesError
+from pancakes.kernel.actor import ActorCore
 from pancakes.packet import NETWORK, Packet, agent_of, join
 
 ANSWER_S: Final = 0.3
@@ -23,19 +24,6 @@ MOST_OF_PEER: Final = 16
 
 Take = Callable[[Packet, Refusal | None], None]
 """Takes a packet, and why it is refused; None: it is not."""
-
-
-class Asker(Protocol):
-    """The actor that asks. The answers come to it, and are handed to `Origins.told`."""
-
-    @property
-    def agent(self) -> str: ...
-
-    def publish(self, channel: str, body: Any, to: str = "") -> Any: ...
-
-    def log(self, level: str, text: str) -> None: ...
-
-    def after_host(self, delay_s: float, function: Callable[[], None]) -> Any: ...
 
 
 class _Waiting(msgspec.Struct):
@@ -61,12 +49,12 @@ class Origins:
     also from an owner that is linked here, if its members do not let it act.
 
     Args:
-        asker: the actor.
+        asker: the actor that asks; it hands the answers to `told`.
         records: what is known of tasks here.
         linked: returns the agents that are linked.
     """
 
-    def __init__(self, asker: Asker, records: Records, linked: Callable[[], list[str]]) -> None:
+    def __init__(self, asker: ActorCore, records: Records, linked: Callable[[], list[str]]) -> None:
         self._asker = asker
         self._records = records
         self._linked = linked

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Final, Protocol
+from typing import Final
 
 import msgspec
 
 from pancakes.durable.messages import REGISTRAR, ToPeer, addressed
 from pancakes.durable.register import Identity
 from pancakes.errors import PancakesError
+from pancakes.kernel.actor import ActorCore
 from pancakes.mesh.mesh import Mesh
 from pancakes.packet import NETWORK, join
 
@@ -32,16 +33,6 @@ class LastSaid:
         return is_news
 
 
-class Speaker(Protocol):
-    """What a talk needs of its actor."""
-
-    agent: str
-
-    def publish(self, channel: str, body: object, to: str = "") -> object: ...
-
-    def log(self, level: str, text: str) -> None: ...
-
-
 class PeerTalk:
     """Sends messages to actors of other agents, or of this one; each may be lost. All in one actor.
 
@@ -54,7 +45,7 @@ class PeerTalk:
         boot: which life of this agent this is.
     """
 
-    def __init__(self, speaker: Speaker, mesh: Mesh) -> None:
+    def __init__(self, speaker: ActorCore, mesh: Mesh) -> None:
         self.me = Identity(speaker.agent, mesh.identity.journal, mesh.identity.copy)
         self.boot = mesh.identity.boot
         self._speaker = speaker

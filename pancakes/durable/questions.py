@@ -1,26 +1,26 @@
 """Whether a task may run here: births, old copies of disks, and other owners. In the service's actor.
 
-A task must not start here while it may run elsewhere. `Births` asks the configured peers before a new task begins,
-`Inquiries` asks all neighbours before a task is created, `CopiedTasks` pauses tasks if other agents say that this
-disk is an old copy, and `Disputes` tells of other owners. The pure rules come first: `birth_of` decides whether a new
-task may begin, and `copied_task` whether a task on an old copy of a disk may go on.
+A task must not start here while it may run elsewhere. `Questions` asks other agents what they know: the configured
+peers before a new task begins (`Births`), all neighbours before a task is created, and those that say that this disk
+is an old copy before its tasks go on (`CopiedTasks`). `Disputes` tells of other owners. The pure rules come first:
+`birth_of` decides whether a new task may begin, and `copied_task` whether a task on an old copy of a disk may go on.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from enum import Enum
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import msgspec
 
-from pancakes.durable.answers import fact_of, newest_fact
-from pancakes.durable.hosting import HostingService, OtherOwner, Place, Unsure
+from pancakes.durable.answers import fact_of
+from pancakes.durable.hosting import OtherOwner, Place, Unsure
 from pancakes.durable.messages import REGISTRAR, Fact, Known
 from pancakes.durable.peer_talk import LastSaid
 from pancakes.durable.record import DISK_LOST, OLD_COPY, WAITS, Lost, TaskId
 from pancakes.durable.register import Epoch, Identity, Register
-from pancakes.durable.register_messages import AskAbout, ClaimsCame, CopyNoticed, FactsCame, NeighbourCame, News
+from pancakes.durable.register_messages import AskAbout, CopyNoticed, KnownCame, NeighbourCame, News
 from pancakes.durable.rules import Confirmed
 from pancakes.durable.rules import Known as Claim
 from pancakes.durable.snapshot import Snapshot
@@ -31,45 +31,30 @@ from pancakes.mesh.peers import reachable
 from pancakes.supervision.lifecycle import Retry, State, StopAsked
 from pancakes.supervision.slots import Slot
 
+if TYPE_CHECKING:
+    from pancakes.durable.client_service import ClientServiceCore
+
 
 class Verdict(Enum):
-    """What becomes of a birth."""
+    """Whether a task may run here, as far as others have told."""
 
-    BORN = "born"
-    """All that were to be asked know nothing of the task."""
+    GOES_ON = "goes on"
+    """Nothing speaks against it."""
     UNASKED = "unasked"
-    """It begins although some have not said what they know."""
+    """It goes on although some have not told what they know."""
     WAITS = "waits"
-    """Some have not said what they know."""
+    """Some have not told what they know."""
     RESTS = "rests"
-    """It was born before: a person decides."""
+    """It was born before, or went on elsewhere: it is paused until a person decides."""
 
 
-class BirthFacts(msgspec.Struct, frozen=True):
-    """What is to be known before a task is born.
-
-    Attributes:
-        named: the agents that are to be asked, by name; one that was never met, by its address.
-        said: the agents that have said what they know.
-        known: what they know, and what the own disk says of the task under another name of this agent.
-        guardians: of a guarded task, the guardians that its configuration names; None: it is not guarded.
-        over: whether the time that it waits is over.
-    """
-
-    named: Sequence[str] = ()
-    said: Collection[str] = ()
-    known: Sequence[Fact] = ()
-    guardians: Sequence[str] | None = None
-    over: bool = False
-
-
-class Birth(msgspec.Struct, frozen=True):
-    """What becomes of a birth, and why.
+class Finding(msgspec.Struct, frozen=True):
+    """Whether a task may run here, and why not.
 
     Attributes:
-        verdict: what becomes of it.
-        missing: the agents that have not said what they know.
-        fact: the newest that is known of the task; None: nothing.
+        verdict: whether it may.
+        missing: the agents that have not told what they know.
+        fact: of a task that rests, the newest that is known of it.
     """
 
     verdict: Verdict
@@ -77,52 +62,37 @@ class Birth(msgspec.Struct, frozen=True):
     fact: Fact | None = None
 
 
-def birth_of(facts: BirthFacts) -> Birth:
-    """Decides whether a task begins."""
-    missing = tuple(name for name in facts.named if name not in facts.said)
-    if facts.known:
-        return Birth(Verdict.RESTS, missing, max(facts.known, key=lambda fact: fact.epoch))
+def birth_of(
+    named: Sequence[str] = (),
+    said: Collection[str] = (),
+    known: Sequence[Fact] = (),
+    guardians: Sequence[str] | None = None,
+    over: bool = False,
+) -> Finding:
+    """Decide whether a task begins.
+
+    Args:
+        named: the agents that are to be asked, by name; one that was never met, by its address.
+        said: the agents that have told what they know.
+        known: what they know, and what the own disk says of the task under another name of this agent.
+        guardians: of a guarded task, the guardians that its configuration names; None: it is not guarded.
+        over: whether the time that it waits is over.
+    """
+    missing = tuple(name for name in named if name not in said)
+    if known:
+        return Finding(Verdict.RESTS, missing, max(known, key=lambda fact: fact.epoch))
     if not missing:
-        return Birth(Verdict.BORN)
-    enough = facts.guardians is None or _most(facts.guardians, facts.said)
-    return Birth(Verdict.UNASKED if facts.over and enough else Verdict.WAITS, missing)
-
-
-def _most(guardians: Sequence[str], said: Collection[str]) -> bool:
-    return 2 * sum(name in said for name in guardians) > len(guardians)
+        return Finding(Verdict.GOES_ON)
+    enough = guardians is None or 2 * sum(name in said for name in guardians) > len(guardians)
+    return Finding(Verdict.UNASKED if over and enough else Verdict.WAITS, missing)
 
 
 ENOUGH: Final = 2
-"""So many agents must say so: one alone may have gone wrong. A quorum of guardians is never less."""
+"""At least this many agents must say that a disk is an old copy: a single one may be wrong."""
 
 
-class CopyVerdict(Enum):
-    """What becomes of a task."""
-
-    GOES_ON = "goes on"
-    """Too few say that the disk is an old copy; or those that say so know of no later owner."""
-    WAITS = "waits"
-    """It is paused until all that say so have told what they know of it."""
-    ELSEWHERE = "elsewhere"
-    """It went on after the copy was made: it is paused until a person decides."""
-
-
-class CopiedTask(msgspec.Struct, frozen=True):
-    """What becomes of a task, and why.
-
-    Attributes:
-        verdict: what becomes of it.
-        missing: the agents that have still to tell what they know of it.
-        fact: what tells of a later owner; None: nothing does.
-    """
-
-    verdict: CopyVerdict
-    missing: tuple[str, ...] = ()
-    fact: Fact | None = None
-
-
-def copied_task(epoch: Epoch, sayers: Collection[str], told: Collection[str], known: Sequence[Fact]) -> CopiedTask:
-    """Decides about a task that the disk says is owned here.
+def copied_task(epoch: Epoch, sayers: Collection[str], told: Collection[str], known: Sequence[Fact]) -> Finding:
+    """Decide whether a task goes on that the disk says is owned here.
 
     Args:
         epoch: the epoch that the disk has.
@@ -131,17 +101,127 @@ def copied_task(epoch: Epoch, sayers: Collection[str], told: Collection[str], kn
         known: what they know.
     """
     if len(sayers) < ENOUGH:
-        return CopiedTask(CopyVerdict.GOES_ON)
+        return Finding(Verdict.GOES_ON)
     later = [fact for fact in known if fact.epoch > epoch]
     if later:
-        return CopiedTask(CopyVerdict.ELSEWHERE, fact=max(later, key=lambda fact: fact.epoch))
+        return Finding(Verdict.RESTS, fact=max(later, key=lambda fact: fact.epoch))
     missing = tuple(sorted(set(sayers) - set(told)))
-    return CopiedTask(CopyVerdict.WAITS if missing else CopyVerdict.GOES_ON, missing)
+    return Finding(Verdict.WAITS if missing else Verdict.GOES_ON, missing)
+
+
+ASK_AGAIN_S: Final = 0.9
+"""A question or an answer may be lost. A task that waits looks again each second."""
+ANSWERED_S: Final = 1.0
+"""Agents have this long to answer before a task is created, in host time."""
+
+Done = Callable[[Sequence[Fact], Sequence[str]], None]
+"""Takes what agents know of a task, and the agents that have not answered."""
+
+
+class _Told(msgspec.Struct):
+    """What other agents have told of a task that they were asked about.
+
+    Attributes:
+        type: entry point name of its class.
+        by: the agents that have told.
+        known: the newest that each of them knows, if it may host or guard the task.
+        asked_s: when they were asked last, in host time.
+    """
+
+    type: str
+    by: set[str] = set()
+    known: dict[str, Fact] = {}
+    asked_s: float = -1e9
+
+
+class Questions:
+    """Asks other agents what they know of tasks, and remembers what they tell. All in the service's actor.
+
+    Args:
+        host: the service.
+        mesh: says what neighbours there are.
+    """
+
+    def __init__(self, host: ClientServiceCore, mesh: Mesh) -> None:
+        self._host = host
+        self._mesh = mesh
+        self._told: dict[TaskId, _Told] = {}
+        self._inquiries: dict[TaskId, tuple[list[str], Done]] = {}
+        self._unbelieved = LastSaid()
+
+    def about(self, task_id: TaskId, place: Place) -> _Told:
+        """Return what was told of a task, which is that of a place, or was under another name of this agent."""
+        return self._told.get(task_id) or self._told.setdefault(task_id, _Told(_type_of(place)))
+
+    def ask(self, task_ids: Sequence[TaskId], peers: Sequence[str] = ()) -> None:
+        """Ask agents about tasks; no peers: all neighbours."""
+        if task_ids:
+            for told in filter(None, map(self._told.get, task_ids)):
+                told.asked_s = self._host.kernel.host.now()
+            self._host.kernel.tell(REGISTRAR, AskAbout(tuple(peers), tuple(task_ids)))
+
+    def ask_again(self, task_ids: Sequence[TaskId], peers: Sequence[str]) -> None:
+        """Ask those agents once more that have not told of all tasks."""
+        due_s = self._host.kernel.host.now() - ASK_AGAIN_S
+        due = [task_id for task_id in task_ids if task_id in self._told and self._told[task_id].asked_s <= due_s]
+        if silent := [peer for peer in peers if any(peer not in self._told[it].by for it in due)]:
+            self.ask(due, silent)
+
+    def inquire(self, task_id: TaskId, type_name: str, done: Done) -> None:
+        """Ask all neighbours about a task, and call `done` once all have answered, or the time is over."""
+        peers = sorted(self._mesh.neighbours())
+        if not peers:
+            done((), ())
+            return
+        self._told[task_id], self._inquiries[task_id] = _Told(type_name), (peers, done)
+        self.ask((task_id,))
+        self._host.after_host(ANSWERED_S, lambda: self._conclude(task_id, done))
+
+    def inquires(self, task_id: TaskId) -> bool:
+        """Return whether all neighbours are being asked about a task."""
+        return task_id in self._inquiries
+
+    def _conclude(self, task_id: TaskId, done: Done) -> None:
+        peers, waits = self._inquiries.get(task_id, ([], None))
+        if waits is done:
+            told = self._told.pop(task_id)
+            del self._inquiries[task_id]
+            done(tuple(told.known.values()), [peer for peer in peers if peer not in told.by])
+
+    def heard(self, peer: str, known: Known) -> None:
+        """Another agent has told what it knows."""
+        for task_id in known.task_ids:
+            if (told := self._told.get(task_id)) is None:
+                continue
+            told.by.add(peer)
+            facts = [fact for fact in known.facts if fact.task_id == task_id]
+            if not facts:
+                pass
+            elif not (fault := self.fault(peer, told.type)):
+                told.known[peer] = max([*facts, told.known.get(peer, facts[0])], key=lambda fact: fact.epoch)
+            elif self._unbelieved.is_news(peer, f"{task_id} {fault}"):
+                self._host.log("warning", f"{peer} says that it knows {task_id}, and is not believed: {fault}")
+            peers, done = self._inquiries.get(task_id, ([], None))
+            if done is not None and told.by.issuperset(peers):
+                self._conclude(task_id, done)
+
+    def fault(self, peer: str, type_name: str) -> str:
+        """Return why an agent is not believed what it knows of a task; empty: it may host it, or guard it."""
+        access = self._host.kernel.access
+        return access.fault(peer, "host", type_name) and access.fault(peer, "guard", type_name)
+
+
+def _type_of(place: Place) -> str:
+    if place.slot is not None and place.slot.spec.type:
+        return place.slot.spec.type
+    try:
+        return Snapshot.decode(place.record.snapshot).type
+    except MigrationError:  # it has none, or one that cannot be read here
+        return ""
 
 
 TOLD_S: Final = 1.0
 """A birth that waits longer than this is told of: when a fleet starts, all wait for a moment."""
-ASK_AGAIN_S: Final = 0.9
 
 
 class BirthRule(msgspec.Struct, frozen=True):
@@ -168,19 +248,13 @@ class _Unborn(msgspec.Struct):
 
     Attributes:
         task_ids: its names: by this agent's name, and by each that it had before.
-        answered: what each agent has answered about.
-        known: the newest that each agent knows of it, of each name; this one among them, under a former name.
+        here: what this agent knows of it under its former names.
         told: what was told of it last.
     """
 
     task_ids: tuple[TaskId, ...]
-    answered: dict[str, set[TaskId]] = msgspec.field(default_factory=dict)
-    known: dict[tuple[str, TaskId], Fact] = msgspec.field(default_factory=dict)
+    here: list[Fact]
     told: str = ""
-
-    def said(self) -> list[str]:
-        """Returns the agents that have answered about all names."""
-        return [peer for peer, about in self.answered.items() if about.issuperset(self.task_ids)]
 
 
 class Births:
@@ -191,65 +265,37 @@ class Births:
         records: what this agent knows.
         mesh: says which of the agents that are to be asked were met.
         rule: what is to be asked.
-        fault: returns why an agent is not believed what it knows of a task; empty: it is.
+        questions: asks them.
     """
 
     def __init__(
-        self,
-        host: HostingService,
-        records: Records,
-        mesh: Mesh,
-        rule: BirthRule,
-        fault: Callable[[str, Place], str],
+        self, host: ClientServiceCore, records: Records, mesh: Mesh, rule: BirthRule, questions: Questions
     ) -> None:
         self._host = host
         self._records = records
         self._mesh = mesh
         self._rule = rule
-        self._fault = fault
-        self._began_s = self._asked_s = host.kernel.host.now()
+        self._questions = questions
+        self._began_s = host.kernel.host.now()
         self._unborn: dict[TaskId, _Unborn] = {}
-        self._unbelieved = LastSaid()
         self._strangers: set[str] = set()  # named in `peers`, and no agents: a simulated world owns no task
 
     def begin(self) -> None:
-        """Asks about all tasks that are new here."""
+        """Ask about all tasks that are new here."""
         for place in self._host.places.values():
             is_resident = place.slot is not None and place.slot.name in self._host.residents
             if self._may_be_born(place) and (is_resident or place.record.goes_on):
                 self._unborn_of(place)
         if self._unborn and self._rule.asks:
-            self._ask(())
+            self._questions.ask(self._names())
             self._host.after_host(min(TOLD_S, self._rule.wait_s), self._tell_of_waiting)
             self._host.after_host(self._rule.wait_s, self._wait_over)
 
     def came(self, peer: str) -> None:
         """Another agent can be asked now."""
         if self._rule.asks:
-            self._ask((peer,))
-            self._look_again()
-
-    def heard(self, peer: str, told: Known) -> None:
-        """Another agent has told what it knows."""
-        for unborn in self._unborn.values():
-            about = set(unborn.task_ids).intersection(told.task_ids)
-            if about:
-                unborn.answered.setdefault(peer, set()).update(about)
-                self._learn(peer, unborn, [fact for fact in told.facts if fact.task_id in about])
-        self._look_again()
-
-    def _learn(self, peer: str, unborn: _Unborn, facts: Iterable[Fact]) -> None:
-        place = self._host.places[unborn.task_ids[0]]
-        for fact in facts:
-            known = unborn.known.get((peer, fact.task_id))
-            if fact.epoch <= place.record.seen or (known is not None and known.epoch >= fact.epoch):
-                continue  # of one that was removed here, others may know what was before
-            if fault := self._fault(peer, place):
-                text = f"{peer} says that {fact.task_id} was born before, and is not believed: {fault}"
-                if self._unbelieved.is_news(peer, text):
-                    self._host.log("warning", text)
-            else:
-                unborn.known[peer, fact.task_id] = fact
+            self._questions.ask(self._names(), (peer,))
+            self.look_again()
 
     def of(self, slot: Slot, place: Place, starts: bool = True) -> Unsure | None:
         """Returns why a task is not born now; None: it may be, or has been.
@@ -263,12 +309,12 @@ class Births:
             return None
         # What is asked for expressly does not wait: a person can see by the answer what it was based on.
         birth = self._birth(slot, place, at_once=slot.life.asker is not None or not starts)
-        if birth.verdict is Verdict.BORN:
+        if birth.verdict is Verdict.GOES_ON:
             return None
         if starts:
             self._tell(slot, place, birth)
             if birth.verdict is Verdict.WAITS:
-                self._ask_again()
+                self._questions.ask_again(self._names(), self._mesh.neighbours())
         return self._unsure(slot, place, birth)
 
     def undecided(self, name: str) -> list[Lost]:
@@ -296,20 +342,26 @@ class Births:
         found = self._unborn.get(task_id)
         if found is None:
             former = tuple(TaskId(name, task_id.name) for name in self._rule.former)
-            found = self._unborn[task_id] = _Unborn((task_id, *former))
-            for record in map(self._records.get, former):
-                fact = fact_of(record) if record is not None and not record.unborn else None
-                if fact is not None:
-                    found.known[self._host.agent, fact.task_id] = fact
+            records = [record for record in map(self._records.get, former) if record is not None]
+            here = [fact_of(record) for record in records if not record.unborn and record.seen > place.record.seen]
+            found = self._unborn[task_id] = _Unborn((task_id, *former), here)
+            for name in found.task_ids:
+                self._questions.about(name, place)
         return found
 
-    def _birth(self, slot: Slot, place: Place, at_once: bool) -> Birth:
+    def _names(self) -> list[TaskId]:
+        return [task_id for unborn in self._unborn.values() for task_id in unborn.task_ids]
+
+    def _birth(self, slot: Slot, place: Place, at_once: bool) -> Finding:
         unborn, rule = self._unborn_of(place), slot.spec.guard
         over = at_once or self._host.kernel.host.now() >= self._began_s + self._rule.wait_s
         named = self._named(place) if self._rule.asks else ()
         guardians = [name for name in rule.guardians if name != self._host.agent] if rule is not None else None
-        said = {*unborn.said(), *self._strangers}
-        return birth_of(BirthFacts(named, said, tuple(unborn.known.values()), guardians, over))
+        told = [self._questions.about(task_id, place) for task_id in unborn.task_ids]
+        said = set.intersection(*(it.by for it in told)) | self._strangers
+        # Of one that was removed here, others may know what was before.
+        known = [fact for it in told for fact in it.known.values() if fact.epoch > place.record.seen]
+        return birth_of(named, said, [*unborn.here, *known], guardians, over)
 
     def _named(self, place: Place) -> Sequence[str]:
         """Returns the agents that are to be asked, by name; those that were never met by their address."""
@@ -320,12 +372,13 @@ class Births:
         for link in described["peers"]:
             if link["role"] != "agent":
                 self._strangers.add(link["name"])
-            if not self._fault(link["name"], place):  # it dialled this agent, and says where it can be dialled
+            # It dialled this agent, and says where it can be dialled.
+            if not self._questions.fault(link["name"], _type_of(place)):
                 at.update((reachable(address, link["remote"]), link["name"]) for address in link["addresses"])
         named = (it for it in described["addresses"] if it["static"])
         return list(dict.fromkeys(it["name"] or at.get(it["address"]) or it["address"] for it in named))
 
-    def _unsure(self, slot: Slot, place: Place, birth: Birth) -> Unsure | None:
+    def _unsure(self, slot: Slot, place: Place, birth: Finding) -> Unsure | None:
         task_id, missing = place.task_id, ", ".join(birth.missing)
         if birth.verdict is Verdict.UNASKED:
             return None
@@ -359,7 +412,7 @@ class Births:
 
     # Telling ---------------------------------------------------------------------------------------------------
 
-    def _tell(self, slot: Slot, place: Place, birth: Birth) -> None:
+    def _tell(self, slot: Slot, place: Place, birth: Finding) -> None:
         unborn, host, task_id = self._unborn_of(place), self._host, place.task_id
         missing = ", ".join(birth.missing)
         told = f"{birth.verdict.value} {birth.fact}"
@@ -376,20 +429,18 @@ class Births:
             host.log("error", unsure.why)
             host.event("not_born", task=task_id.name, owner=fact.owner, epoch=fact.epoch.n)
 
-    def _still_unborn(self) -> list[tuple[Slot, Place]]:
+    def _waiting(self) -> list[tuple[Slot, Place]]:
         found = []
         for task_id in list(self._unborn):
             place = self._host.places.get(task_id)
             if place is None or not self._may_be_born(place):
                 del self._unborn[task_id]
-            elif place.slot is not None:
+            elif place.slot is not None and place.slot.life.state is State.REFUSED:
                 found.append((place.slot, place))
         return found
 
-    def _waiting(self) -> list[tuple[Slot, Place]]:
-        return [(slot, place) for slot, place in self._still_unborn() if slot.life.state is State.REFUSED]
-
-    def _look_again(self) -> None:
+    def look_again(self) -> None:
+        """See whether what waits may begin: another agent has told what it knows."""
         for slot, place in self._waiting():
             if self._birth(slot, place, at_once=False).verdict is not Verdict.WAITS:
                 self._host.feed_place(place, Retry())
@@ -407,68 +458,31 @@ class Births:
             self._host.event("birth_waits", tasks=tasks, missing=missing)
 
     def _wait_over(self) -> None:
-        self._look_again()
+        self.look_again()
         self._tell_of_waiting()
-
-    # Asking ----------------------------------------------------------------------------------------------------
-
-    def _ask(self, peers: tuple[str, ...]) -> None:
-        task_ids = tuple(task_id for unborn in self._unborn.values() for task_id in unborn.task_ids)
-        if task_ids:
-            self._host.kernel.tell(REGISTRAR, AskAbout(peers, task_ids))
-
-    def _ask_again(self) -> None:
-        """A question or an answer may be lost. What waits looks again each second."""
-        now_s = self._host.kernel.host.now()
-        if now_s < self._asked_s + ASK_AGAIN_S:
-            return
-        self._asked_s = now_s
-        heard = [self._unborn_of(place).said() for _, place in self._still_unborn()]  # one of them starts right now
-        silent = [peer for peer in self._mesh.neighbours() if any(peer not in said for said in heard)]
-        if silent:
-            self._ask(tuple(silent))
 
 
 LOOK_S: Final = 1.0
-ASK_COPIED_AGAIN_S: Final = 0.9
-
-
-class _Heard(msgspec.Struct):
-    """What those that take the disk for an old copy have told of one task.
-
-    Attributes:
-        by: the agents that have told.
-        known: the newest that each of them knows.
-    """
-
-    by: set[str] = msgspec.field(default_factory=set)
-    known: dict[str, Fact] = msgspec.field(default_factory=dict)
 
 
 class CopiedTasks:
-    """Has tasks stand still where their disk is an old copy. All in the service's actor.
+    """Pauses the tasks of this agent while others say that its disk is an old copy. All in the service's actor.
 
     Args:
         host: the service.
-        fault: returns why an agent is not believed what it knows of a task; empty: it is.
+        questions: asks those that say so.
         went_on: called with the place of a task that went on elsewhere, and what is known of that.
     """
 
     def __init__(
-        self,
-        host: HostingService,
-        fault: Callable[[str, Place], str],
-        went_on: Callable[[Place, OtherOwner], None],
+        self, host: ClientServiceCore, questions: Questions, went_on: Callable[[Place, OtherOwner], None]
     ) -> None:
         self._host = host
-        self._fault = fault
+        self._questions = questions
         self._went_on = went_on
         self._sayers: set[str] = set()
         self._believed: set[tuple[str, TaskId]] = set()
         self._copied: set[TaskId] = set()  # what came later is no copy
-        self._told: dict[TaskId, _Heard] = {}
-        self._decided: set[TaskId] = set()  # by a person
-        self._asked_s = 0.0
 
     def noticed(self, peer: str) -> None:
         """Another agent takes the disk for an old copy."""
@@ -478,39 +492,32 @@ class CopiedTasks:
         places = self._host.places.values()
         self._copied.update(place.task_id for place in places if not place.record.unborn)
         copied = [place for place in places if place.record.here or place.record.goes_on]
-        if any(self._verdict(place).verdict is CopyVerdict.WAITS for place in copied):
+        for place in copied:
+            self._questions.about(place.task_id, place).by.discard(peer)
+        if self._waiting():
             sayers = " and ".join(sorted(self._sayers))
             self._host.log(
                 "error",
-                f"the disk of {self._host.agent} is an old copy, as {sayers} say: its tasks stand still until these"
+                f"the disk of {self._host.agent} is an old copy, as {sayers} say: its tasks are paused until these"
                 " have told where they are",
             )
             self._host.event("old_copy", peers=", ".join(sorted(self._sayers)))
-        self._ask(copied)
+        self._questions.ask([place.task_id for place in copied], sorted(self._sayers))
         self._look()
         for place in copied:
             if place.record.goes_on:
                 self._retry(place)  # it waits for other agents from now on
 
-    def heard(self, peer: str, told: Known) -> None:
+    def heard(self, peer: str, known: Known) -> None:
         """Another agent has told what it knows."""
-        if peer not in self._sayers:
-            return
-        facts = {fact.task_id: fact for fact in told.facts}
-        for task_id in told.task_ids:
-            place = self._host.places.get(task_id)
-            if place is None or self._fault(peer, place):
-                continue
-            heard = self._told.setdefault(task_id, _Heard())
-            heard.by.add(peer)
-            if (fact := newest_fact((facts.get(task_id), heard.known.get(peer)))) is not None:
-                heard.known[peer] = fact
-            self._look_again(place)
+        if peer in self._sayers:
+            for place in filter(None, map(self._host.places.get, known.task_ids)):
+                self._look_again(place)
 
     def of(self, place: Place) -> Unsure | None:
         """Returns why a task is paused; None: it need not, for all that this knows."""
         copied = self._verdict(place)
-        if copied.verdict is not CopyVerdict.WAITS or not (place.record.owned or place.record.goes_on):
+        if copied.verdict is not Verdict.WAITS or not (place.record.owned or place.record.goes_on):
             return None
         name = f"{self._host.agent}/{place.task_id.name}"
         why = (
@@ -518,45 +525,41 @@ class CopiedTasks:
             f" {place.task_id} may be elsewhere by now: it is paused until {', '.join(copied.missing)} told what"
             f" they know of it. `pancakes task recover {name} --here` has it go on here"
         )
-        self._ask_again()
+        waiting = [it.task_id for it in self._waiting()]
+        self._questions.ask_again(waiting, sorted(self._sayers))
         return Unsure(OLD_COPY, why)
 
     def undecided(self, name: str) -> list[Place]:
-        """Returns the places of the tasks of a name that stand still, for a person to decide."""
-        return [
-            place
-            for place in self._host.places.named(name)
-            if self._verdict(place).verdict is CopyVerdict.WAITS and (place.record.owned or place.record.goes_on)
-        ]
+        """Return the places of the tasks of a name that are paused, for a person to decide."""
+        waiting = [place for place in self._waiting() if place.task_id.name == name]
+        return [place for place in waiting if place.record.owned or place.record.goes_on]
 
-    def is_decided(self, place: Place) -> bool:
-        """Return whether a person has said that a task is to go on here."""
-        return place.task_id in self._decided
+    def became_owner(self, place: Place) -> None:
+        """This agent owns a task under an epoch that the copy does not have."""
+        self._copied.discard(place.task_id)
 
-    def decide(self, place: Place) -> None:
-        """A person says that a task is to go on here."""
-        self._decided.add(place.task_id)
-        self._retry(place)
+    def _waiting(self) -> list[Place]:
+        return [it for it in self._host.places.values() if self._verdict(it).verdict is Verdict.WAITS]
 
-    def _verdict(self, place: Place) -> CopiedTask:
+    def _verdict(self, place: Place) -> Finding:
         record = place.record
         is_here = record.here or record.goes_on
-        if not is_here or place.task_id not in self._copied or place.task_id in self._decided:
-            return CopiedTask(CopyVerdict.GOES_ON)
+        if not is_here or place.task_id not in self._copied:
+            return Finding(Verdict.GOES_ON)
         sayers = [peer for peer in self._sayers if self._is_believed(peer, place)]
-        told = self._told.get(place.task_id, _Heard())
-        return copied_task(record.seen, sayers, told.by, tuple(told.known.values()))
+        told = self._questions.about(place.task_id, place)
+        return copied_task(record.seen, sayers, told.by, [it for by, it in told.known.items() if by in sayers])
 
     def _is_believed(self, peer: str, place: Place) -> bool:
         """Return whether an agent was believed once: what rights it has is known only while it is linked."""
         said = (peer, place.task_id)
-        if said not in self._believed and not self._fault(peer, place):
+        if said not in self._believed and not self._questions.fault(peer, _type_of(place)):
             self._believed.add(said)
         return said in self._believed
 
     def _look(self) -> None:
-        """Has what runs stand still; one that is being handed over does, and is looked at again once that is over."""
-        waiting = [it for it in self._host.places.values() if self._verdict(it).verdict is CopyVerdict.WAITS]
+        """Pause what runs; a task that is being handed over is looked at again once that is over."""
+        waiting = self._waiting()
         reason = f"the disk of {self._host.agent} is an old copy, and it may be elsewhere by now"
         for place in waiting:
             slot = place.slot
@@ -568,116 +571,19 @@ class CopiedTasks:
 
     def _look_again(self, place: Place) -> None:
         copied = self._verdict(place)
-        if copied.verdict is CopyVerdict.ELSEWHERE and copied.fact is not None:
+        if copied.fact is not None:
             peer = copied.fact.owner if copied.fact.owner not in ("", self._host.agent) else min(self._sayers)
             self._went_on(place, OtherOwner(peer, copied.fact.epoch))
-        if copied.verdict is not CopyVerdict.WAITS:
+        if copied.verdict is not Verdict.WAITS:
             self._retry(place)
 
     def _retry(self, place: Place) -> None:
         if place.slot is not None and place.slot.life.state is State.REFUSED:
             self._host.feed_place(place, Retry())
 
-    # Asking ----------------------------------------------------------------------------------------------------
-
-    def _ask(self, places: list[Place]) -> None:
-        self._asked_s = self._host.kernel.host.now()
-        if places:
-            task_ids = tuple(place.task_id for place in places)
-            self._host.kernel.tell(REGISTRAR, AskAbout(tuple(sorted(self._sayers)), task_ids))
-
-    def _ask_again(self) -> None:
-        """A question or an answer may be lost. What waits looks again each second."""
-        if self._host.kernel.host.now() >= self._asked_s + ASK_COPIED_AGAIN_S:
-            waiting = [it for it in self._host.places.values() if self._verdict(it).verdict is CopyVerdict.WAITS]
-            self._ask(waiting)
-
 
 MOST_CLAIMS: Final = 4096
 """At most this many claims are remembered; of more, the one that was heard first is forgotten."""
-ANSWERED_S: Final = 1.0
-"""So long, in host time, the agents that are connected have for their answers."""
-
-
-class InquiryFindings(msgspec.Struct, frozen=True):
-    """What was found out about a task.
-
-    Attributes:
-        facts: what agents know of it.
-        silent: the agents that have not answered.
-    """
-
-    facts: Sequence[Fact]
-    silent: Sequence[str]
-
-
-class _Inquiry(msgspec.Struct):
-    """One task that is asked about.
-
-    Attributes:
-        type: entry point name of its class.
-        silent: the agents that have not answered.
-        facts: what the others know.
-        done: gets what was found out.
-    """
-
-    type: str
-    silent: list[str]
-    facts: list[Fact]
-    done: Callable[[InquiryFindings], None]
-
-
-class Inquiries:
-    """Asks all neighbours about tasks. All in the service's actor.
-
-    Args:
-        host: the service.
-        mesh: says what neighbours there are.
-    """
-
-    def __init__(self, host: HostingService, mesh: Mesh) -> None:
-        self._host = host
-        self._mesh = mesh
-        self._open: dict[TaskId, _Inquiry] = {}
-
-    def about(self, task_id: TaskId) -> bool:
-        """Returns whether a task is being asked about."""
-        return task_id in self._open
-
-    def begin(self, task_id: TaskId, type_name: str, done: Callable[[InquiryFindings], None]) -> None:
-        """Asks about a task, and calls `done` once all have answered, or the time is over."""
-        peers = sorted(self._mesh.neighbours())
-        if not peers:
-            done(InquiryFindings((), ()))
-            return
-        self._open[task_id] = inquiry = _Inquiry(type_name, peers, [], done)
-        self._host.kernel.tell(REGISTRAR, AskAbout((), (task_id,)))
-        self._host.after_host(ANSWERED_S, lambda: self._conclude(task_id, inquiry))
-
-    def heard(self, peer: str, told: Known) -> None:
-        """Another agent has told what it knows."""
-        for task_id in told.task_ids:
-            inquiry = self._open.get(task_id)
-            if inquiry is None or peer not in inquiry.silent:
-                continue
-            inquiry.silent.remove(peer)
-            for fact in told.facts:
-                if fact.task_id == task_id:
-                    self._learn(peer, inquiry, fact)
-            if not inquiry.silent:
-                self._conclude(task_id, inquiry)
-
-    def _learn(self, peer: str, inquiry: _Inquiry, fact: Fact) -> None:
-        access = self._host.kernel.access
-        if fault := access.fault(peer, "host", inquiry.type) and access.fault(peer, "guard", inquiry.type):
-            self._host.log("warning", f"{peer} says that it knows {fact.task_id}, and is not believed: {fault}")
-        else:
-            inquiry.facts.append(fact)
-
-    def _conclude(self, task_id: TaskId, inquiry: _Inquiry) -> None:
-        if self._open.get(task_id) is inquiry:
-            del self._open[task_id]
-            inquiry.done(InquiryFindings(tuple(inquiry.facts), tuple(inquiry.silent)))
 
 
 class Disputes:
@@ -690,19 +596,19 @@ class Disputes:
         rule: what is to be asked before a task is born.
 
     Attributes:
+        questions: what other agents are asked.
         births: the tasks that are new here.
         copied: those that may be elsewhere, as this agent's disk is an old copy.
-        inquiries: those that are to be created.
     """
 
-    def __init__(self, host: HostingService, records: Records, mesh: Mesh, rule: BirthRule) -> None:
+    def __init__(self, host: ClientServiceCore, records: Records, mesh: Mesh, rule: BirthRule) -> None:
         self._host = host
         self._claims: dict[TaskId, OtherOwner] = {}  # the highest claim on each task, believed or not
         self._told: set[TaskId] = set()  # the tasks that were told not to be born
         self._told_of: dict[TaskId, Epoch] = {}  # the other owners of which people were told
-        self.births = Births(host, records, mesh, rule, self._fault_of_teller)
-        self.inquiries = Inquiries(host, mesh)
-        self.copied = CopiedTasks(host, self._fault_of_teller, self._went_on)
+        self.questions = Questions(host, mesh)
+        self.births = Births(host, records, mesh, rule, self.questions)
+        self.copied = CopiedTasks(host, self.questions, self._went_on)
 
     def begin(self) -> None:
         """The service has begun."""
@@ -711,15 +617,15 @@ class Disputes:
     def heard(self, news: News) -> None:
         """The registrar has news."""
         match news:
-            case ClaimsCame():
-                for task_id, claim in news.claims.items():
-                    self._claimed(task_id, OtherOwner(news.peer, claim.register.epoch))
             case NeighbourCame():
                 self.births.came(news.peer)
-            case FactsCame():
-                self.births.heard(news.peer, news.told)
-                self.copied.heard(news.peer, news.told)
-                self.inquiries.heard(news.peer, news.told)
+            case KnownCame():
+                self.questions.heard(news.peer, news.known)
+                if news.known.task_ids:
+                    self.births.look_again()
+                    self.copied.heard(news.peer, news.known)
+                for claim in news.known.claims:
+                    self._claimed(claim.task_id, OtherOwner(news.peer, claim.register.epoch))
             case CopyNoticed():
                 self.copied.noticed(news.peer)
 
@@ -731,8 +637,6 @@ class Disputes:
             place: its place.
             starts: whether it is about to start; otherwise it is only looked at.
         """
-        if self.copied.is_decided(place):
-            return None
         return self.copied.of(place) or self._owned_elsewhere(place, starts) or self.births.of(slot, place, starts)
 
     def _owned_elsewhere(self, place: Place, starts: bool) -> Unsure | None:
@@ -765,7 +669,7 @@ class Disputes:
         place = self._host.places.get(task_id)
         if place is None or place.other == other or (place.other is not None and place.other.epoch > other.epoch):
             return
-        if self._host.kernel.access.fault(other.peer, "host", self._type_of(place)):
+        if self._host.kernel.access.fault(other.peer, "host", _type_of(place)):
             return
         place.other = other
         record = place.record
@@ -780,6 +684,7 @@ class Disputes:
 
     def became_owner(self, place: Place) -> None:
         """This agent owns a task from now on, or under another epoch."""
+        self.copied.became_owner(place)
         other = place.other
         if other is not None and other.epoch < place.record.epoch:
             place.other = None  # it owned the task before
@@ -806,16 +711,3 @@ class Disputes:
             place.other = other
             claim = Claim(Identity(other.peer), Register(other.epoch))
             self._host.tell_registrar(place, Confirmed(claim), lambda outcome, why: None)
-
-    def _fault_of_teller(self, peer: str, place: Place) -> str:
-        """Returns why an agent is not believed what it knows of a task; empty: it may host it, or guard it."""
-        access, of = self._host.kernel.access, self._type_of(place)
-        return access.fault(peer, "host", of) and access.fault(peer, "guard", of)
-
-    def _type_of(self, place: Place) -> str:
-        if place.slot is not None and place.slot.spec.type:
-            return place.slot.spec.type
-        try:
-            return Snapshot.decode(place.record.snapshot).type
-        except MigrationError:  # it has none, or one that cannot be read here
-            return ""

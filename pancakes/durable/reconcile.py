@@ -184,13 +184,7 @@ class Warn(msgspec.Struct, frozen=True):
     text: str
 
 
-class Conclude(msgspec.Struct, frozen=True):
-    """What was to follow the migration is done."""
-
-
-HostEffect = (
-    Tell | OpenPlace | Unreserve | Decided | Drop | Resume | AttemptFailed | HandedOver | After | Warn | Conclude
-)
+HostEffect = Tell | OpenPlace | Unreserve | Decided | Drop | Resume | AttemptFailed | HandedOver | After | Warn
 """Effects that a task without a slot may have too."""
 SlotEffect = AskRoom | Prepare | Rested | Freeze | TakeDown | LetGoOn | Hold | Vacate
 
@@ -212,8 +206,8 @@ class Came(msgspec.Struct, frozen=True):
     outcomes: tuple[tuple[Write, Outcome, str], ...] = ()
 
 
-class StartConfigured(msgspec.Struct, frozen=True):
-    """Its service begins, and starts it, if it is here.
+class ServiceBegan(msgspec.Struct, frozen=True):
+    """Its service begins, and starts it if it is here and has a place.
 
     Attributes:
         fresh: whether it is to begin as the configuration says, whatever its record says.
@@ -226,15 +220,10 @@ class StartWanted(msgspec.Struct, frozen=True):
     """It is to run because another task has left; if its actuators are not free yet, it waits for them."""
 
 
-class TakeUp(msgspec.Struct, frozen=True):
-    """Its service begins, and it has no place there: only its record is left."""
-
-
 class Room(msgspec.Struct, frozen=True):
     """The answer to `AskRoom`.
 
     Attributes:
-        asked: what this answers.
         reason: why it cannot run here now; empty: it can.
         for_good: whether to try again is no use.
         waits: whether it waits for what other agents know, and its actuators are kept for it meanwhile.
@@ -242,7 +231,6 @@ class Room(msgspec.Struct, frozen=True):
         floor: the highest epoch that any other agent knows of it, if it begins now.
     """
 
-    asked: AskRoom
     reason: str = ""
     for_good: bool = False
     waits: bool = False
@@ -340,15 +328,10 @@ class Removed(msgspec.Struct, frozen=True):
     """It was removed, and enough members know."""
 
 
-class PartConcluded(msgspec.Struct, frozen=True):
-    """One of the two things that follow its migration is done."""
-
-
 Event = (
     Came
-    | StartConfigured
+    | ServiceBegan
     | StartWanted
-    | TakeUp
     | Room
     | PlaceFree
     | NoPlace
@@ -363,7 +346,6 @@ Event = (
     | Refused
     | InDoubt
     | Removed
-    | PartConcluded
 )
 AnyEvent = lifecycle.Event | Event
 AnyEffect = lifecycle.Effect | SlotEffect | HostEffect
@@ -384,13 +366,11 @@ class Moving(msgspec.Struct, frozen=True):
 
     Attributes:
         heir: the agent that is to have the task.
-        number: names the migration.
         stage: how far it is.
         refusal: why it comes to nothing, once that is known.
     """
 
     heir: Identity
-    number: int
     stage: Stage = Stage.FREEZING
     refusal: Refusal | None = None
 
@@ -402,7 +382,6 @@ class Course(msgspec.Struct, frozen=True):
         record: what is on disk.
         desired: what its actor is to do.
         pending: the writes that are under way.
-        trouble: why a write failed last; empty: it did not.
         asks: the start waits for the writes before it; whether it was running, and failed. None: no start waits.
         granted: the start has leave, and waits until the actor may run.
         starts: it is to be started as soon as its actor may run.
@@ -412,15 +391,12 @@ class Course(msgspec.Struct, frozen=True):
         stale: its actor carries what is not to be written any more.
         fresh: it has come from another agent, and has not begun here.
         moving: its migration from here; None: none.
-        moves: how many there were.
-        to_conclude: how much of what follows its migration is still to be done.
-        removing: it is to be removed, which waits for its members.
+        moves: how many there were; that numbers the last one.
     """
 
     record: Record
     desired: Desired = Desired.END
     pending: tuple[Write, ...] = ()
-    trouble: str = ""
     asks: bool | None = None
     granted: bool = False
     starts: bool = False
@@ -431,8 +407,6 @@ class Course(msgspec.Struct, frozen=True):
     fresh: bool = False
     moving: Moving | None = None
     moves: int = 0
-    to_conclude: int = 0
-    removing: bool = False
 
     @property
     def settled(self) -> bool:
@@ -453,19 +427,21 @@ class Now(msgspec.Struct, frozen=True):
         now_s: host time.
         draw: draws the length of a pause.
         closing: whether the task's service ends.
+        removing: whether it is being removed, which waits for its members.
     """
 
     me: str
     now_s: float
     draw: Draw
     closing: bool
+    removing: bool = False
 
 
 _LIFE_EVENTS: Final = frozenset(get_args(lifecycle.Event))
 
 
 class Step:
-    """One step: what it has changed so far, and what is to be done.
+    """One step: what it has changed so far, and the effects that follow.
 
     Args:
         life: the life of the task; None: it has no place here.
@@ -473,7 +449,7 @@ class Step:
         at: the moment.
 
     Attributes:
-        effects: what is to be done, in this order.
+        effects: what the service carries out, in this order.
     """
 
     def __init__(self, life: Life | None, course: Course, at: Now) -> None:
@@ -643,39 +619,26 @@ def _grant(step: Step) -> None:
         step.live(lifecycle.PutOff(f"{step.record.task_id} waits for its guardians"))
 
 
-def _start_configured(step: Step, event: StartConfigured) -> None:
-    record = step.record
-    if record.standing is Standing.RELEASED and record.sequel:
+def _service_began(step: Step, event: ServiceBegan) -> None:
+    record, has_place = step.record, step.life is not None
+    if record.standing is Standing.OFFERED:
+        step.write(Write.GIVE_UP, rules.GiveUp())  # the end of the service before has broken it off
+    elif record.standing is Standing.RELEASED and record.sequel:
         _handed_over(step)
+    elif record.in_doubt:
+        step.do(After(TIMES.warn_s, InDoubt(record.standing, record.seen)))
+    rests = record.owned or (record.goes_on and record.wanted is not Wanted.RUNNING)
+    if has_place and _may_start(step) and (event.fresh or not rests):
+        step.live(lifecycle.StartAsked())
+        return
+    step.change(starts=record.owned and record.wanted is Wanted.RUNNING)
+    if has_place and not (record.owned and step.course.desired is Desired.RUN):
         step.do(lifecycle.Settle())
-    elif not record.owned or event.fresh:
-        rests = record.goes_on and record.wanted is not Wanted.RUNNING and not event.fresh
-        if _may_start(step) and not rests:
-            step.live(lifecycle.StartAsked())
-        else:
-            step.do(lifecycle.Settle())
-    else:
-        step.change(starts=record.wanted is Wanted.RUNNING)
-        if record.standing is Standing.OFFERED:
-            step.write(Write.GIVE_UP, rules.GiveUp())  # the end of the service before has broken it off
-        if step.course.desired is not Desired.RUN:
-            step.do(lifecycle.Settle())
 
 
 def _start_wanted(step: Step, event: StartWanted) -> None:
     step.wanted = True
     step.live(lifecycle.StartAsked())
-
-
-def _take_up(step: Step, event: TakeUp) -> None:
-    record = step.record
-    step.change(starts=record.owned and record.wanted is Wanted.RUNNING)
-    if record.standing is Standing.OFFERED:
-        step.write(Write.GIVE_UP, rules.GiveUp())
-    if record.standing is Standing.RELEASED and record.sequel:
-        _handed_over(step)
-    elif record.in_doubt:
-        step.do(After(TIMES.warn_s, InDoubt(record.standing, record.seen)))
 
 
 def _place_free(step: Step, event: PlaceFree) -> None:
@@ -760,12 +723,11 @@ def _came(step: Step, event: Came) -> None:
             if write in pending:
                 pending.remove(write)
             step.change(pending=tuple(pending))
-        step.change(trouble=why if outcome in (Outcome.DELAYED, Outcome.FAILED) else "")
         OUTCOMES[write](step, outcome, why)
     if record.owned and (not before.owned or before.epoch != record.epoch):
         _is_owner(step, before)
     elif before.owned and not record.owned:
-        if not (record.removed and step.course.removing):  # else it is here until its members know
+        if not (record.removed and step.at.removing):  # else it is here until its members know
             _has_left(step, before)
     elif before.here and not record.here:
         _is_elsewhere(step, before)
@@ -832,7 +794,7 @@ def _is_elsewhere(step: Step, before: Record) -> None:
 
 def _handed_over(step: Step) -> None:
     record = step.record
-    step.change(leaving=step.life is not None, to_conclude=2)
+    step.change(leaving=step.life is not None)
     step.do(HandedOver(record.peer, record.seen, record.sequel))
 
 
@@ -858,9 +820,8 @@ def _award(step: Step, event: Award) -> None:
     elif course.moving is not None:
         step.do(AttemptFailed("", Refusal("conflict", f"{task_id} is being handed over already")))
     else:
-        number = course.moves + 1
-        step.change(moves=number, moving=Moving(event.heir, number))
-        step.do(Freeze(number))
+        step.change(moves=course.moves + 1, moving=Moving(event.heir))
+        step.do(Freeze(step.course.moves))
 
 
 def _stood_still(step: Step, event: StoodStill) -> None:
@@ -880,8 +841,7 @@ def _stood_still(step: Step, event: StoodStill) -> None:
 
 def _still_overdue(step: Step, event: StillOverdue) -> None:
     """A task that does not come back from what it is doing cannot migrate."""
-    moving = step.course.moving
-    if moving is not None and moving.number == event.number:
+    if event.number == step.course.moves:
         _freeze_failed(step, FreezeFailed("it is stuck"))
 
 
@@ -904,7 +864,7 @@ def _freeze_failed(step: Step, event: FreezeFailed) -> None:
 
 def _give_up_due(step: Step, event: GiveUpDue) -> None:
     moving = step.course.moving
-    if moving is not None and moving.number == event.number and moving.stage is Stage.OFFERED:
+    if moving is not None and step.course.moves == event.number and moving.stage is Stage.OFFERED:
         if step.record.standing is Standing.OFFERED:
             step.change(moving=replace(moving, refusal=Refusal("unable", event.reason)))
             step.write(Write.GIVE_UP, rules.GiveUp())
@@ -944,13 +904,6 @@ def _in_doubt(step: Step, event: InDoubt) -> None:
     step.do(Warn(f"{record.task_id} {story} (epoch {record.seen}): the migration goes on by itself once it answers"))
 
 
-def _part_concluded(step: Step, event: PartConcluded) -> None:
-    left = step.course.to_conclude - 1
-    step.change(to_conclude=left)
-    if not left:
-        step.do(Conclude())
-
-
 # What became of writes ----------------------------------------------------------------------------------------------
 
 
@@ -975,7 +928,7 @@ def _at_rest(step: Step, outcome: Outcome, why: str) -> None:
         step.change(rests_left=max(0, step.course.rests_left - 1))
     if Write.REST in step.course.pending or (outcome is not Outcome.WRITTEN and step.course.rests_left):
         return  # a later one says how it rests
-    waits = step.record.guarded and asked and not step.course.removing
+    waits = step.record.guarded and asked and not step.at.removing
     if (outcome is Outcome.WRITTEN and not waits) or outcome is Outcome.COUNTS:
         _written(step)
     elif outcome is Outcome.LAPSED:
@@ -993,7 +946,7 @@ def _offered(step: Step, outcome: Outcome, why: str) -> None:
     if outcome is Outcome.WRITTEN:
         step.change(moving=replace(moving, stage=Stage.OFFERED))
         wait_s = TIMES.prepare_s + TIMES.transfer_s(len(step.record.snapshot))
-        step.do(After(wait_s, GiveUpDue(moving.number, f"did not ask for the task within {wait_s:.1f} s")))
+        step.do(After(wait_s, GiveUpDue(step.course.moves, f"did not ask for the task within {wait_s:.1f} s")))
     elif outcome in (Outcome.FAILED, Outcome.DECLINED):
         step.change(moving=None)
         step.do(Resume())
@@ -1003,9 +956,8 @@ def _offered(step: Step, outcome: Outcome, why: str) -> None:
 
 def _given_up(step: Step, outcome: Outcome, why: str) -> None:
     """An offer that cannot be taken back is tried again."""
-    moving = step.course.moving
-    if outcome is Outcome.FAILED and moving is not None:
-        step.do(After(TIMES.retry_write_s, GiveUpDue(moving.number, why)))
+    if outcome is Outcome.FAILED and step.course.moving is not None:
+        step.do(After(TIMES.retry_write_s, GiveUpDue(step.course.moves, why)))
 
 
 OUTCOMES: Final[Mapping[Write, Callable[[Step, Outcome, str], None]]] = {
@@ -1018,9 +970,8 @@ OUTCOMES: Final[Mapping[Write, Callable[[Step, Outcome, str], None]]] = {
 
 RULES: Final[Mapping[type, Rule]] = {
     Came: _came,
-    StartConfigured: _start_configured,
+    ServiceBegan: _service_began,
     StartWanted: _start_wanted,
-    TakeUp: _take_up,
     Room: _room,
     PlaceFree: _place_free,
     NoPlace: _no_place,
@@ -1035,7 +986,6 @@ RULES: Final[Mapping[type, Rule]] = {
     Refused: _heir_refused,
     InDoubt: _in_doubt,
     Removed: lambda step, event: _has_left(step, step.record),
-    PartConcluded: _part_concluded,
 }
 """The rule of each event."""
 
@@ -1050,7 +1000,7 @@ def handle(life: Life | None, course: Course, event: AnyEvent, at: Now) -> tuple
         at: the moment.
 
     Returns:
-        Its life and course from now on, and what is to be done, in this order.
+        Its life and course from now on, and the effects, in the order in which they are carried out.
     """
     step = Step(life, course, at)
     step.take(event)

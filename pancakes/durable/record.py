@@ -22,6 +22,7 @@ from pancakes.durable.register import (
     Register,
     Standing,
     Wanted,
+    members_in,
     standing_of,
 )
 from pancakes.errors import MigrationError
@@ -155,7 +156,7 @@ class Record(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     @property
     def members(self) -> list[Identity]:
         """All members, each once, in the order in which they were chosen."""
-        return list(dict.fromkeys(member for one in self.register.sets for member in one))
+        return members_in(self.register.sets)
 
     @property
     def peer(self) -> str:
@@ -259,7 +260,7 @@ class Lost(msgspec.Struct, frozen=True):
         return (
             f"it may run elsewhere, and {self.story()}. It stays at rest until you decide: where `pancakes task list`"
             f" shows it on no agent, and none that may have it is off or cut off, `pancakes task recover {name} --here`"
-            f" runs it here; where it runs elsewhere, `pancakes task recover {name} --not-here` leaves it there"
+            f" runs it here; if it runs elsewhere, `pancakes task recover {name} --not-here` leaves it there"
         )
 
 

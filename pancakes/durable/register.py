@@ -157,6 +157,11 @@ class Register(NamedTuple):
         return self._replace(state=None)
 
 
+def members_in(sets: Sets) -> list[Identity]:
+    """Return all members, each once, in the order in which they were chosen."""
+    return list(dict.fromkeys(member for one in sets for member in one))
+
+
 @lru_cache(maxsize=1024)
 def _members_of(sets: tuple[Members, ...]) -> frozenset[Identity]:
     return frozenset(member for one in sets for member in one)

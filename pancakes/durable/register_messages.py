@@ -7,10 +7,10 @@ from typing import Any
 import msgspec
 
 from pancakes.control import Refusal
-from pancakes.durable.messages import Fact, Known
+from pancakes.durable.messages import Known
 from pancakes.durable.reconcile import Outcome
 from pancakes.durable.record import Record, TaskId
-from pancakes.durable.register import Epoch, Identity
+from pancakes.durable.register import Epoch
 from pancakes.durable.rules import Desired
 from pancakes.kernel.mailbox import Reference
 from pancakes.migration import GuardRule
@@ -106,7 +106,7 @@ class Judged(msgspec.Struct, frozen=True):
 
 
 class AskAbout(msgspec.Struct, frozen=True):
-    """Have the registrar ask neighbours what they know of tasks; the answers come as `FactsCame`.
+    """Have the registrar ask neighbours what they know of tasks; the answers come as `KnownCame`.
 
     Attributes:
         peers: the neighbours; empty: all of them.
@@ -154,7 +154,6 @@ class Judge(msgspec.Struct, frozen=True):
         peer: the agent that offers it.
         task_id: the task.
         state: the task, encoded.
-        held_for: the agent for which room is kept for the task; empty: none.
     """
 
     number: int
@@ -171,29 +170,17 @@ class OfferRefused(msgspec.Struct, frozen=True):
     refusal: Refusal
 
 
-class ClaimsCame(msgspec.Struct, frozen=True):
-    """Another agent says, unasked, what it owns.
-
-    Attributes:
-        peer: the agent.
-        claims: its tasks.
-    """
-
-    peer: str
-    claims: dict[TaskId, Fact]
-
-
 class NeighbourCame(msgspec.Struct, frozen=True):
     """Another agent can be asked from now on."""
 
     peer: str
 
 
-class FactsCame(msgspec.Struct, frozen=True):
-    """Another agent has told what it knows of tasks."""
+class KnownCame(msgspec.Struct, frozen=True):
+    """Another agent says what it knows of tasks that it was asked about, or what it owns."""
 
     peer: str
-    told: Known
+    known: Known
 
 
 class CopyNoticed(msgspec.Struct, frozen=True):
@@ -202,16 +189,4 @@ class CopyNoticed(msgspec.Struct, frozen=True):
     peer: str
 
 
-News = ClaimsCame | NeighbourCame | FactsCame | CopyNoticed
-
-
-class Taken(msgspec.Struct, frozen=True):
-    """This agent was called to take a task over.
-
-    Attributes:
-        task_id: the task.
-        source: the agent that had it.
-    """
-
-    task_id: TaskId
-    source: Identity
+News = NeighbourCame | KnownCame | CopyNoticed

@@ -10,8 +10,6 @@ open: the disk, the network, and time. `leases` asks members for leases, `takeov
 from __future__ import annotations
 
 import random
-from collections import Counter
-from collections.abc import Iterable
 from functools import partial
 from typing import Any, Final
 
@@ -19,13 +17,15 @@ from msgspec.structs import replace
 
 from pancakes.control import Refusal
 from pancakes.durable import messages, rules
-from pancakes.durable.answers import Answers, BootMemory
+from pancakes.durable.answers import Answers, BootMemory, NeighbourUp, NetworkBegan
+from pancakes.durable.bidding_messages import BidAwarded, MoveOver
 from pancakes.durable.deadlines import Deadlines
 from pancakes.durable.entry import Conclude, Entry, Fed, SayAgain
 from pancakes.durable.host_state import HostState, Imported
 from pancakes.durable.leases import Leases
 from pancakes.durable.messages import REGISTRAR, is_for
 from pancakes.durable.peer_talk import LastSaid, PeerTalk
+from pancakes.durable.quotas import GUARDED, IN_DOUBT, fault_of_room
 from pancakes.durable.reconcile import Outcome
 from pancakes.durable.record import Record, TaskId
 from pancakes.durable.register import (
@@ -38,6 +38,7 @@ from pancakes.durable.register import (
     Stamp,
     Standing,
     Wanted,
+    members_in,
 )
 from pancakes.durable.register_messages import (
     AskAbout,
@@ -76,16 +77,6 @@ ALL_BEATS: Final = 2**62
 """Stands for all leases that may have been granted before a restart."""
 INLINE_BYTES: Final = 48 * 1024
 """A larger state travels in pieces."""
-MOST_TASKS: Final = 1024
-"""At most this many tasks of one peer are kept here, ..."""
-MOST_BYTES: Final = 64 * 1024 * 1024
-"""... and this many bytes of their states."""
-MOST_LEFT: Final = 16_384
-"""Of at most this many tasks of one peer a tombstone is kept; no new ones are taken in then."""
-MOST_OFFERED: Final = 64
-"""At most this many tasks of one peer are kept that it has offered and not given away, ..."""
-MOST_OFFERED_BYTES: Final = 64 * 1024 * 1024
-"""... and this many bytes of them; one may always be kept."""
 MOST_PARTIAL: Final = 16
 """Of at most this many packets of one peer the states are waited for; it sends one after the other."""
 TIMES: Final = Times()
@@ -133,7 +124,7 @@ class Registrar(ActorCore):
         self.began_s = self.kernel.host.now()
         self._copied = self._of_copies()  # told once a service begins: the log service has begun before it
         for record in self.records.all().values():
-            entry = self._new(record.task_id, record)
+            entry = self._new(record)
             entry.heard_s = entry.as_of_s = self.began_s
             entry.from_disk = True
             entry.effects.extend(rules.recover(self._place(entry), ALL_BEATS))
@@ -168,19 +159,9 @@ class Registrar(ActorCore):
                 self._fed(message)
             case RecordWritten():
                 self._written(message)
-            case Guarded():
+            case Guarded() | Concluded() | PermitOver() | CannotStart():
                 if (entry := self.entries.get(message.task_id)) is not None:
-                    self.leases.learn(entry, message)
-            case Concluded():
-                if (entry := self.entries.get(message.task_id)) is not None:
-                    self.feed(entry, Fed(Conclude()))
-            case PermitOver():
-                if (entry := self.entries.get(message.task_id)) is not None:
-                    self.leases.look_for_end(entry)
-            case CannotStart():
-                if (entry := self.entries.get(message.task_id)) is not None:
-                    self.leases.close(entry)
-                    self.settle(entry)
+                    self._told_of(entry, message)
             case Judged():
                 self._judged(message)
             case HostBegan():
@@ -199,10 +180,29 @@ class Registrar(ActorCore):
                 self._partial = {key: it for key, it in self._partial.items() if key[0] != message.peer}
             case AskedOfGuardian():
                 self.takeovers.asked(message)
+            case BidAwarded():
+                self.takeovers.awarded(message)
+            case MoveOver():
+                self.takeovers.over(message)
+            case NeighbourUp():
+                self.answers.met(message.peer, message.boot)
+            case NetworkBegan():
+                self.answers.network_began()
             case _:
-                if not (self.takeovers.heard(message) or self.answers.heard(message)):
-                    return super().take_message(message)
+                return super().take_message(message)
         return None
+
+    def _told_of(self, entry: Entry, message: Guarded | Concluded | PermitOver | CannotStart) -> None:
+        match message:
+            case Guarded():
+                self.leases.learn(entry, message)
+            case Concluded():
+                self.feed(entry, Fed(Conclude()))
+            case PermitOver():
+                self.leases.look_for_end(entry)
+            case CannotStart():
+                self.leases.close(entry)
+                self.settle(entry)
 
     def _tell_all(self, service: Reference) -> None:
         for entry in self.entries.values():
@@ -212,7 +212,7 @@ class Registrar(ActorCore):
                 self.settle(entry)
 
     def _fed(self, fed: Feed) -> None:
-        entry = self.entries.get(fed.task_id) or self._new(fed.task_id, Record(fed.task_id, me=self.me))
+        entry = self.known(fed.task_id)
         if entry.again is not None and entry.again.feed is not None:
             entry.outcomes.append((entry.again.feed.token, Outcome.FAILED, "something else was decided since"))
         entry.again, entry.service = None, fed.service
@@ -245,14 +245,9 @@ class Registrar(ActorCore):
 
     # Dealing with events ---------------------------------------------------------------------------------------
 
-    def known(self, task_id: TaskId, type_name: str) -> Entry:
+    def known(self, task_id: TaskId, type_name: str = "") -> Entry:
         """Return what is kept of a task, from now on."""
-        return self.entries.get(task_id) or self._new(task_id, Record(task_id, me=self.me, type=type_name))
-
-    def host(self, entry: Entry, service: str) -> None:
-        """A service is to look after a task that this agent is about to take."""
-        if not entry.record.service:
-            entry.record = replace(entry.record, service=service)
+        return self.entries.get(task_id) or self._new(Record(task_id, me=self.me, type=type_name))
 
     def stop_taking(self, entry: Entry) -> None:
         """Leave a task to others."""
@@ -260,9 +255,9 @@ class Registrar(ActorCore):
         self.settle(entry)
         self._forget_unused(entry)
 
-    def _new(self, task_id: TaskId, record: Record) -> Entry:
-        entry = Entry(record, self._deadlines.new(partial(self._lease_over, task_id)))
-        self.entries[task_id] = entry
+    def _new(self, record: Record) -> Entry:
+        entry = Entry(record, self._deadlines.new(partial(self._lease_over, record.task_id)))
+        self.entries[record.task_id] = entry
         return entry
 
     def _forget_unused(self, entry: Entry) -> None:
@@ -367,7 +362,6 @@ class Registrar(ActorCore):
             entry.memory = entry.before._replace(permit=min(had, entry.before.permit))  # ... and nothing has before
             if entry.memory.permit != had:
                 self.leases.permit_changed(entry, had)
-            entry.trouble = written.why_not
             if feed is not None and fed is not None and _is_tried_again(feed.event):
                 entry.again = fed
                 entry.outcomes.append((feed.token, Outcome.DELAYED, written.why_not))
@@ -376,7 +370,7 @@ class Registrar(ActorCore):
                 entry.outcomes.append((feed.token, Outcome.FAILED, written.why_not))
             self._go_on(entry)
             return
-        before, entry.record, entry.trouble = entry.record, record, ""
+        before, entry.record = entry.record, record
         if (before.epoch, before.owned) != (record.epoch, record.owned):
             stays = record.owned or record.removed
             kept = [it for it in entry.waits if stays and it[0][0] == record.epoch]
@@ -510,7 +504,7 @@ class Registrar(ActorCore):
                     told = entry.newest_told[1] if entry.newest_told[0] == message.epoch else -1
                     self.talk.to(owner, messages.Accepted(task_id, *message, told))
             case rules.Prepare():
-                for member in dict.fromkeys(it for one in message.sets for it in one):
+                for member in members_in(message.sets):
                     if member != self.me:
                         self.talk.to(member, messages.Prepare(task_id, kind, *message))
                     elif entry.register != BLANK or entry.memory.promises:
@@ -521,9 +515,12 @@ class Registrar(ActorCore):
                 if taker == self.me:
                     self.feed_later(entry, Fed(message))
                 else:
-                    if message.register.unguarded and _held_by_asker(entry.dealing) == message.register.stamp:
-                        message = message._replace(register=message.register.summary())
-                    self._send_promise(taker, task_id, message)
+                    register, state = message.register.summary(), message.register.state
+                    if register.unguarded and _held_by_asker(entry.dealing) == register.stamp:
+                        state = None
+                    pieces = state is not None and len(state) > INLINE_BYTES
+                    promise = messages.Promise(task_id, message.epoch, message.by, register, pieces=pieces)
+                    self._send_with_state(taker, promise, state)
             case rules.Known():
                 peer = entry.dealing.peer if entry.dealing is not None else ""
                 if peer and peer != self.agent:
@@ -554,27 +551,21 @@ class Registrar(ActorCore):
                 message.beat,
                 entry.record.lease_s,
                 message.to,
-                state if state is not None and len(state) <= INLINE_BYTES else None,
-                age_s,
+                age_s=age_s,
             )
-            self.talk.to(receiver, accept)
-            if state is not None and len(state) > INLINE_BYTES:
-                self._send_pieces(receiver, entry.record.task_id, register.stamp, state)
+            self._send_with_state(receiver, accept, state)
         if message.to == NOBODY and register.heir == NOBODY:
             entry.former = NOBODY
 
-    def _send_promise(self, taker: Identity, task_id: TaskId, message: rules.Promise) -> None:
-        register, state = message.register, message.register.state
-        in_pieces = state is not None and len(state) > INLINE_BYTES
-        told = messages.Promise(
-            task_id, message.epoch, message.by, register.summary(), None if in_pieces else state, in_pieces
-        )
-        self.talk.to(taker, told)
-        if in_pieces and state is not None:
-            self._send_pieces(taker, task_id, register.stamp, state)
-
-    def _send_pieces(self, receiver: Identity, task_id: TaskId, stamp: Stamp, state: bytes) -> None:
-        for piece in cut(task_id, stamp, state):
+    def _send_with_state(
+        self, receiver: Identity, body: messages.Accept | messages.Promise, state: bytes | None
+    ) -> None:
+        """Send a message with a state, in pieces if that is large."""
+        if state is None or len(state) <= INLINE_BYTES:
+            self.talk.to(receiver, replace(body, state=state))
+            return
+        self.talk.to(receiver, body)
+        for piece in cut(body.task_id, body.register.stamp, state):
             self.talk.to(receiver, piece)
 
     # What other agents say -------------------------------------------------------------------------------------
@@ -616,7 +607,7 @@ class Registrar(ActorCore):
         self._take_accept(peer, body, state)
 
     def _take_accept(self, peer: str, body: messages.Accept, state: bytes | None) -> None:
-        entry = self.entries.get(body.task_id) or self._new(body.task_id, Record(body.task_id, me=self.me))
+        entry = self.known(body.task_id)
         register, is_removed = body.register, body.register.wanted.value == "removed"
         whole = state is not None or is_removed
         event = rules.Accept(register._replace(state=state), body.beat, body.to, whole)
@@ -675,11 +666,11 @@ class Registrar(ActorCore):
         if task_id is None or fed is None or fed.accept is None:
             return
         # It may have been forgotten meanwhile, as another offer of it was declined.
-        entry = self.entries.get(task_id) or self._new(task_id, Record(task_id, me=self.me))
+        entry = self.known(task_id)
         if judged.refusal is not None:
             self._decline(fed.peer, fed.accept, judged.refusal)
             self._forget_unused(entry)
-        else:  # where the task is was asked before room was kept for it
+        else:  # the whereabouts of the task were asked before room was kept for it
             self.feed(entry, replace(fed, event=rules.Confirmed(fed.event)))
 
     def _decline(self, peer: str, body: messages.Accept, refusal: Refusal) -> None:
@@ -721,11 +712,11 @@ class Registrar(ActorCore):
             if self._refused.is_news(peer, fault):
                 self.log("warning", f"{peer} is not promised {body.task_id}: {fault}")
             return
-        if entry is None and self._full_of(peer, body.task_id, 0):
+        if entry is None and self._full_of(peer, body.task_id, GUARDED, 0):
             return
         if self.records.lost(body.task_id) is not None:
             return  # it may have promised the task to another agent, and have forgotten that
-        entry = entry or self._new(body.task_id, Record(body.task_id, me=self.me, type=body.type))
+        entry = self.known(body.task_id, body.type)
         self.feed(entry, Fed(rules.Prepare(body.epoch, body.held, body.sets), peer))
         self._forget_unused(entry)
 
@@ -829,32 +820,12 @@ class Registrar(ActorCore):
             return f"{self.agent} has lost what it knew of it, and may have forgotten a promise"
         size = len(body.state) if body.state is not None else 0
         if register.heir == self.me:
-            return self._full_of_offers(peer, body.task_id, size)
-        return self._full_of(peer, body.task_id, size) if is_member else ""
+            return self._full_of(peer, body.task_id, IN_DOUBT, size)
+        return self._full_of(peer, body.task_id, GUARDED, size) if is_member else ""
 
-    def _others_of(self, peer: str, task_id: TaskId) -> Iterable[Record]:
-        entries = (it for it in self.entries.values() if it.record.task_id != task_id)
-        return [it.record for it in entries if it.record.seen.minter.agent == peer]
-
-    def _full_of(self, peer: str, task_id: TaskId, size: int) -> str:
-        others = self._others_of(peer, task_id)
-        guarded = [it for it in others if it.standing is Standing.MEMBER and not it.removed]
-        if len(guarded) >= MOST_TASKS:
-            return f"it guards {len(guarded)} tasks of {peer} already, and no more"
-        held = sum(len(it.snapshot) for it in guarded)
-        if held + size > MOST_BYTES:
-            return f"it guards {held} bytes of tasks of {peer} already, and {MOST_BYTES} at most"
-        left = sum(map(_is_left, others))
-        return f"it remembers {left} tasks of {peer}, and no more" if left >= MOST_LEFT else ""
-
-    def _full_of_offers(self, peer: str, task_id: TaskId, size: int) -> str:
-        others = self._others_of(peer, task_id)
-        kept = [it for it in others if it.standing is Standing.HEIR]
-        held = sum(len(it.snapshot) for it in kept) + size
-        if len(kept) >= MOST_OFFERED or (kept and held > MOST_OFFERED_BYTES):
-            return f"keeps {len(kept)} tasks that {peer} has brought and not handed over, and no more"
-        left = sum(map(_is_left, others))
-        return f"remembers {left} tasks of {peer}, and no more" if left >= MOST_LEFT else ""
+    def _full_of(self, peer: str, task_id: TaskId, kind: str, size: int) -> str:
+        others = [it.record for it in self.entries.values() if it.record.task_id != task_id]
+        return fault_of_room(peer, kind, others, size)
 
 
 def _too_late(record: Record, feed: Feed) -> str:
@@ -877,11 +848,6 @@ def _held_by_asker(fed: Fed | None) -> Stamp | None:
     return prepare.held if isinstance(prepare, rules.Prepare) else None
 
 
-def _is_left(record: Record) -> bool:
-    """Return whether a record is only there so that what was removed or taken back does not begin again."""
-    return record.removed or record.standing in (Standing.RELEASED, Standing.NONE)
-
-
 def _given(me: Identity, before: Record, register: Register) -> str:
     """Return the agent to which this one gave the task last, once this is written; empty: none.
 
@@ -898,35 +864,3 @@ def _type_of(state: bytes) -> str:
         return Snapshot.decode(state).type
     except MigrationError:
         return ""
-
-
-def kept_of_peers(agent: str, records: Iterable[Record]) -> list[dict[str, Any]]:
-    """Return a row for each peer and kind of thing, with how much of its room is taken, as plain values.
-
-    Args:
-        agent: the agent itself, which is no peer.
-        records: what it has on disk of tasks.
-    """
-    kinds = {Standing.HEIR: "in doubt", Standing.MEMBER: "guarded"}
-    most = {
-        "in doubt": (MOST_OFFERED, MOST_OFFERED_BYTES),
-        "guarded": (MOST_TASKS, MOST_BYTES),
-        "taken back": (MOST_LEFT, 0),
-        "removed": (MOST_LEFT, 0),
-    }
-    counts: Counter[tuple[str, str]] = Counter()
-    sizes: Counter[tuple[str, str]] = Counter()
-    for record in records:
-        is_left = "removed" if record.removed else "taken back" if _is_left(record) else None
-        if (kind := is_left or kinds.get(record.standing)) is not None:
-            key = (record.seen.minter.agent, kind)
-            counts[key] += 1
-            sizes[key] += len(record.snapshot)
-    rows = []
-    for (peer, kind), count in sorted(counts.items()):
-        most_count, most_bytes = most[kind]
-        size = sizes[peer, kind]
-        share = max(count / most_count, size / most_bytes if most_bytes else 0.0)
-        if peer not in ("", agent):
-            rows.append({"peer": peer, "kind": kind, "count": count, "bytes": size, "share": share})
-    return rows

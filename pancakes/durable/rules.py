@@ -254,7 +254,7 @@ class Force(NamedTuple):
 
 
 class Leave(NamedTuple):
-    """A person decides that the task does not live here, but where a register says."""
+    """A person decides that the task does not live here, but with the owner that a register names."""
 
     register: Register
 

@@ -13,11 +13,12 @@ from typing import Any, Final, NamedTuple
 import msgspec
 from msgspec.structs import replace
 
-from pancakes.durable.messages import Piece
+from pancakes.durable.messages import Piece, Solicit
 from pancakes.durable.record import TaskId
 from pancakes.durable.register import Stamp
 from pancakes.errors import MigrationError, RemoteProtocolError
-from pancakes.migration import GuardRule, MigrationRule
+from pancakes.mesh.codec import of_agent
+from pancakes.migration import CostChoice, GuardRule, MigrationRule, is_of_core
 from pancakes.settings import dotted
 from pancakes.supervision.restart import RestartSpec
 from pancakes.util import codecs
@@ -27,7 +28,7 @@ from pancakes.util.codecs import MALFORMED, sha256, why_malformed
 LIMIT_BYTES: Final = 16 * 1024 * 1024
 """The largest snapshot that travels."""
 OFFER_BYTES: Final = 4096
-"""So much of its settings and its state a task may tell bidders: each of them gets it."""
+"""The most bytes of its settings and its state that a task tells bidders: each of them gets it."""
 
 
 class PostedTo(msgspec.Struct, frozen=True):
@@ -61,6 +62,11 @@ class Posted(msgspec.Struct, frozen=True):
 
     stream: str
     to: tuple[PostedTo, ...]
+
+    def of_agent(self, agent: str, restamped: Callable[[str, float], float]) -> Posted:
+        """Return it as sent from an agent to which the task has migrated; see `pancakes.mesh.codec.of_agent`."""
+        to = [replace(it, packets=tuple(of_agent(one, agent, restamped) for one in it.packets)) for it in self.to]
+        return replace(self, to=tuple(to))
 
 
 class KeptAnswer(msgspec.Struct, frozen=True):
@@ -166,12 +172,12 @@ class Snapshot(msgspec.Struct, frozen=True):
         settings: its settings.
         configured: the settings that its configuration gave it; what differs from these was changed while it ran.
         state: its state.
-        periods_s: the period of each of its periodic handlers, as last rescheduled; infinity where it was paused.
-        posted: the packets that it has sent to other tasks; None in a checkpoint, and where there are none.
+        periods_s: the period of each of its periodic handlers, as last rescheduled; infinity if it was paused.
+        posted: the packets that it has sent to other tasks; None in a checkpoint, or if there are none.
         heard: the duplicate filter: up to which number every packet had its effect, by stream.
         restart: its restart policy, as in `[task.NAME] restart`.
         durability: `lazy` or `each`.
-        migrate: its rule for moving, as in `[task.NAME] migrate`; None where it has none.
+        migrate: its rule for moving, as in `[task.NAME] migrate`; None: it has none.
         guard: how it is guarded; None: it is not.
         rate_hz: the rate that its configuration gave its first timer; None: as its class says.
         created: whether no configuration file names it.
@@ -200,7 +206,7 @@ class Snapshot(msgspec.Struct, frozen=True):
     requests: CarriedRequests | None = None
 
     def offer(self) -> bytes:
-        """Returns what bidders are told of it: its settings, and what it offers of its state; see `offer_of`.
+        """Return what bidders are told of it: its settings, and what it offers of its state; see `offer_of`.
 
         Raises:
             MigrationError: that is more than may be told.
@@ -212,6 +218,31 @@ class Snapshot(msgspec.Struct, frozen=True):
                 f" are told {OFFER_BYTES} at most"
             )
         return data
+
+    def solicit(self, ask: int, cost: CostChoice, rule: MigrationRule | None, tells: bool = True) -> Solicit:
+        """Return what agents are asked that may take the task.
+
+        Args:
+            ask: number of this asking.
+            cost: name of the cost function to use, or the weight of each of several.
+            rule: when the task migrates by itself; None: it does not.
+            tells: whether a cost function that is none of the core's is told of the task.
+
+        Raises:
+            MigrationError: what it offers is more than may be told.
+        """
+        return Solicit(
+            self.task_id,
+            ask,
+            self.type,
+            self.version,
+            self.service,
+            self.requires,
+            cost,
+            rule.least_level if rule is not None else None,
+            self.offer() if tells and not is_of_core(cost) else b"",
+            least_reserve_s=rule.least_reserve_s if rule is not None else None,
+        )
 
     def encode(self) -> bytes:
         """Returns the snapshot as msgpack bytes.
@@ -268,7 +299,7 @@ def why_unwritable(settings: Mapping[str, Any], state: Mapping[str, Any], error:
     Args:
         settings: the settings, as plain values.
         state: the state, as plain values.
-        error: what was raised where they were encoded.
+        error: what was raised when they were encoded.
     """
     path = codecs.unencodable_in({"settings": settings, "state": state}, _ENCODE)
     return f"{dotted(path)}: {error}" if path else str(error)
@@ -294,9 +325,9 @@ def digest(data: bytes) -> bytes:
 PIECE_BYTES: Final = 64 * 1024
 """How much of a snapshot travels in one packet."""
 MOST_HALF: Final = 4
-"""So many snapshots of one peer may be on their way at a time."""
+"""At most this many snapshots of one peer are on their way at a time, ..."""
 MOST_BYTES: Final = 2 * LIMIT_BYTES
-"""So many bytes these may have."""
+"""... and this many bytes of them."""
 
 
 def cut(task_id: TaskId, stamp: Stamp, whole: bytes) -> list[Piece]:

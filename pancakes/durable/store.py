@@ -65,8 +65,6 @@ class Records:
         for aside in disk.journal.missing:
             if aside.kind == RECORD:
                 self._lose(aside.key, str(aside), _read(aside.entry), aside.times)
-        self._lock = threading.Lock()
-        self._by_name: dict[str, tuple[TaskId, ...]] = {}
         self._records = RecordTable(
             disk,
             RECORD,
@@ -76,14 +74,6 @@ class Records:
         self._only_guarded = {
             str(it.task_id): it for it in old.guarded(it.task_id for it in self._records.on_disk.values())
         }
-        for record in self._records.on_disk.values():
-            self._note_name(record.task_id)
-
-    def _note_name(self, task_id: TaskId) -> None:
-        with self._lock:
-            known = self._by_name.get(task_id.name, ())
-            if task_id not in known:
-                self._by_name[task_id.name] = (*known, task_id)
 
     def _lose(self, key: str, why: str, read: Record | None = None, times: int = 1) -> None:
         try:
@@ -110,10 +100,10 @@ class Records:
 
     def here(self, name: str) -> TaskId | None:
         """Returns the task of a name that is here, as the disk says; None: no record says that of any."""
-        with self._lock:
-            task_ids = self._by_name.get(name, ())
-        records = (self._records.on_disk.get(str(task_id)) for task_id in task_ids)
-        return next((record.task_id for record in records if record is not None and record.here), None)
+        return next((record.task_id for record in self._named(name) if record.here), None)
+
+    def _named(self, name: str) -> list[Record]:
+        return [record for record in list(self._records.on_disk.values()) if record.task_id.name == name]
 
     def lost(self, task_id: TaskId) -> Lost | None:
         """Returns what is known of a task whose record was lost; None: it was not, or has been decided about since.
@@ -139,10 +129,7 @@ class Records:
 
     def services_in_doubt(self, name: str) -> set[str]:
         """Returns the services that have something to decide about a task of this name."""
-        with self._lock:
-            task_ids = self._by_name.get(name, ())
-        records = [self._records.on_disk.get(str(task_id)) for task_id in task_ids]
-        services = {record.service for record in records if record is not None and record.in_doubt}
+        services = {record.service for record in self._named(name) if record.in_doubt}
         return services | {self.decider_of(lost) for lost in self.all_lost() if lost.task_id.name == name}
 
     def trouble(self, task_id: TaskId) -> str:
@@ -158,7 +145,6 @@ class Records:
             may: says, in the store's thread, whether it may be written once its turn has come; None: it may.
         """
         task_id = record.task_id
-        self._note_name(task_id)
 
         def failed(why_not: str) -> None:
             tell(writer, RecordWritten(task_id, why_not))
@@ -177,7 +163,7 @@ def _read(entry: JournalEntry | None) -> Record | None:
 
 LEDGER: Final = "ledger"
 KEPT: Final = 100
-"""So many are kept for each agent; the newest takes the place of the oldest."""
+"""How many are kept for each agent; the newest takes the place of the oldest."""
 
 
 class Kept(msgspec.Struct, frozen=True):
@@ -185,7 +171,7 @@ class Kept(msgspec.Struct, frozen=True):
 
     Attributes:
         number: its place in the order of all moves from this agent, from 1.
-        boot: in which life of the agent: mission time begins anew with each.
+        boot: in which life of the agent: mission time begins again with each.
         mission_s: the mission time at which the move was over.
         reason: why it came to nothing, or (moved all the same) what had come between; else empty.
         ledger: the account.

@@ -8,27 +8,41 @@ hangs on anything here.
 from __future__ import annotations
 
 from functools import partial
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
 
 from pancakes.control import Checkpoints, Guarding, Refusal, Take
 from pancakes.durable import messages, rules
 from pancakes.durable.bidding_messages import MIGRATOR, AttemptOver, BidAwarded, HasMoved, MoveOver, Negotiate
-from pancakes.durable.entry import Entry, Fed, Registering, right_of
-from pancakes.durable.messages import REGISTRAR, Fact, Solicit, WhoHas, is_for
+from pancakes.durable.entry import Entry, Fed, right_of
+from pancakes.durable.messages import REGISTRAR, Fact, WhoHas, is_for
 from pancakes.durable.origins import Origins
 from pancakes.durable.peer_talk import LastSaid
 from pancakes.durable.record import TaskId
-from pancakes.durable.register import ANYONE, NO_EPOCH, Epoch, Identity, Register, Sets, Standing, Wanted, is_quorum
+from pancakes.durable.register import (
+    ANYONE,
+    NO_EPOCH,
+    Epoch,
+    Identity,
+    Register,
+    Sets,
+    Standing,
+    Wanted,
+    is_quorum,
+    members_in,
+)
 from pancakes.durable.rules import MOST_STEP
 from pancakes.durable.snapshot import Snapshot, rules_of
 from pancakes.errors import ControlRefusedError, MigrationError
 from pancakes.kernel.mailbox import tell
 from pancakes.kernel.timer import OneShot
-from pancakes.migration import CostChoice, GuardRule, MigrationRule, is_of_core
+from pancakes.migration import GuardRule, MigrationRule
 from pancakes.packet import Packet, agent_of, join
 from pancakes.supervision.messages import AskedOfGuardian, GuardianAnswers
+
+if TYPE_CHECKING:
+    from pancakes.durable.registrar import Registrar
 
 GUARDIAN: Final = "guardian"
 IN_DOUBT: Final = "in doubt"
@@ -62,7 +76,6 @@ class _Orphan(msgspec.Struct):
         sets: the newest members that any of them knows, and under which write.
         over: the members that say that no lease runs there either.
         negotiating_s: since when, in host time; None: bids are not compared now.
-        called: the agent that was called to take it.
         asked: what a person has asked for that waits for an answer; None: nothing.
         told: whether people were told that it waits for a person.
         timer: what comes next.
@@ -76,7 +89,6 @@ class _Orphan(msgspec.Struct):
     sets: Sets
     over: set[Identity] = set()
     negotiating_s: float | None = None
-    called: str = ""
     asked: AskedOfGuardian | None = None
     told: bool = False
     timer: OneShot | None = None
@@ -89,24 +101,13 @@ class Takeovers:
         registrar: the registrar.
     """
 
-    def __init__(self, registrar: Registering) -> None:
+    def __init__(self, registrar: Registrar) -> None:
         self._registrar = registrar
         self._orphans: dict[TaskId, _Orphan] = {}
         self._asks = 0
         self._called = 0
         self._unbelieved = LastSaid()
         self.origins = Origins(registrar, registrar.records, registrar.talk.neighbours)
-
-    def heard(self, message: Any) -> bool:
-        """Take what the Task Migrator tells; return whether it is for this."""
-        match message:
-            case BidAwarded():
-                self._awarded(message)
-            case MoveOver():
-                self._over(message)
-            case _:
-                return False
-        return True
 
     # Leases that are granted here ------------------------------------------------------------------------------
 
@@ -115,7 +116,7 @@ class Takeovers:
         registrar, record = self._registrar, entry.record
         register, me, task_id = record.register, registrar.me, record.task_id
         wait_s = PROMISED_S if promised and register.heir != ANYONE else 0.0
-        members = [it for one in register.sets for it in one]
+        members = members_in(register.sets)
         known = self._orphans.get(task_id)
         if known is not None and me in members:
             known.floor = max(known.floor, record.seen)
@@ -134,7 +135,7 @@ class Takeovers:
         age_s = None if entry.from_disk else max(0.0, entry.heard_s - entry.as_of_s)
         held = (register.summary(), age_s)
         orphan = _Orphan(snapshot, found.guard, found.move, held, record.seen, register.sets)
-        self._orphans[task_id] = orphan
+        self._orphans[task_id], entry.called = orphan, ""
         self._later(task_id, orphan, wait_s + RANK_S * members.index(me))
 
     def lease_runs(self, entry: Entry, epoch: Epoch) -> None:
@@ -149,7 +150,7 @@ class Takeovers:
         self._answer(orphan, "", {"task_id": str(task_id), "winner": winner, **loss})
         if orphan.negotiating_s is None:
             return
-        if winner == orphan.called:
+        if winner == entry.called:
             registrar.log("warning", f"{task_id} runs on {winner}, {self._cause(entry, orphan)}")
             owner = orphan.held[0].owner.agent
             registrar.event("taken_over", task=task_id.name, by=winner, source_agent=owner, **loss)
@@ -192,7 +193,7 @@ class Takeovers:
         if orphan.negotiating_s is not None and now_s - orphan.negotiating_s > NEGOTIATED_S:
             orphan.negotiating_s = None
         orphan.over = {registrar.me}
-        for member in dict.fromkeys(it for one in orphan.sets for it in one):
+        for member in members_in(orphan.sets):
             if member != registrar.me and registrar.talk.connected(member.agent):
                 registrar.talk.tell(member.agent, REGISTRAR, WhoHas((task_id,), silent=True))
         members = entry.record.members
@@ -203,7 +204,7 @@ class Takeovers:
     def asks(self, peer: str, task_id: TaskId) -> None:
         """Another member asks: it is the one that looks for a new owner, unless it dies too."""
         orphan = self._orphans.get(task_id)
-        is_member = orphan is not None and peer in {it.agent for one in orphan.sets for it in one}
+        is_member = orphan is not None and peer in {it.agent for it in members_in(orphan.sets)}
         if orphan is not None and is_member and orphan.negotiating_s is None:
             self._later(task_id, orphan, max(1.0, orphan.rule.lease_s / 2))
 
@@ -211,7 +212,7 @@ class Takeovers:
         """Another member says what it knows."""
         task_id = fact.task_id
         orphan, entry = self._orphans.get(task_id), self._registrar.entries.get(task_id)
-        if orphan is None or entry is None or by not in {it for one in orphan.sets for it in one}:
+        if orphan is None or entry is None or by not in members_in(orphan.sets):
             return
         if fact.epoch.n > entry.record.seen.n + MOST_STEP:
             return
@@ -222,7 +223,7 @@ class Takeovers:
         if register.wanted is not Wanted.RUNNING and register.stamp >= orphan.held[0].stamp:
             self._drop(task_id)
             return
-        if self._registrar.me not in {it for one in orphan.sets for it in one}:
+        if self._registrar.me not in members_in(orphan.sets):
             self._drop(task_id)  # another one has taken its place
             return
         if not fact.lease:
@@ -253,18 +254,11 @@ class Takeovers:
         registrar, snapshot, move = self._registrar, orphan.snapshot, orphan.move
         self._asks += 1
         cost = move.cost if move is not None else "tasks"
-        request = Solicit(
-            task_id,
-            self._asks,
-            snapshot.type,
-            snapshot.version,
-            snapshot.service,
-            snapshot.requires,
-            cost,
-            move.least_level if move is not None else None,
-            self._offer(snapshot, cost),
-            least_reserve_s=move.least_reserve_s if move is not None else None,
-        )
+        try:
+            request = snapshot.solicit(self._asks, cost, move)
+        except MigrationError as error:
+            registrar.log("warning", f"bidders for {task_id} are told nothing of it: {error}")
+            request = snapshot.solicit(self._asks, cost, move, tells=False)
         orphan.negotiating_s = registrar.kernel.host.now()
         asked, owner = orphan.asked, orphan.held[0].owner.agent
         asked_by = asked.request.by if asked is not None else "guardians"
@@ -272,14 +266,7 @@ class Takeovers:
         cause = self._cause(entry, orphan)
         registrar.kernel.tell(MIGRATOR, Negotiate(registrar, request, asked_by, "", dry_run, owner, cause))
 
-    def _offer(self, snapshot: Snapshot, cost: CostChoice) -> bytes:
-        try:
-            return b"" if is_of_core(cost) else snapshot.offer()
-        except MigrationError as error:
-            self._registrar.log("warning", f"bidders for {snapshot.task_id} are told nothing of it: {error}")
-            return b""
-
-    def _awarded(self, awarded: BidAwarded) -> None:
+    def awarded(self, awarded: BidAwarded) -> None:
         """The bids are compared: calls the agent that made the lowest."""
         registrar, task_id = self._registrar, awarded.task_id
         orphan, entry = self._orphans.get(task_id), self._registrar.entries.get(awarded.task_id)
@@ -287,7 +274,7 @@ class Takeovers:
             back = Refusal("conflict", "its owner is back")
             registrar.kernel.tell(MIGRATOR, AttemptOver(registrar, task_id, "", back, None))
             return
-        orphan.called = entry.called = awarded.peer
+        entry.called = awarded.peer
         call = messages.Call(
             task_id, entry.record.type, orphan.snapshot.service, orphan.floor, orphan.sets, self._silent_s(entry)
         )
@@ -295,19 +282,20 @@ class Takeovers:
             self._begin(entry, registrar.agent, call)
         else:
             registrar.talk.say(awarded.peer, REGISTRAR, call)
-        registrar.after_host(CALLED_S, partial(self._look_at_called, task_id, orphan, awarded.peer))
+        registrar.after_host(CALLED_S, partial(self._look_at_called, entry, orphan, awarded.peer))
 
-    def _look_at_called(self, task_id: TaskId, orphan: _Orphan, peer: str) -> None:
-        if self._orphans.get(task_id) is orphan and orphan.called == peer:
+    def _look_at_called(self, entry: Entry, orphan: _Orphan, peer: str) -> None:
+        task_id = entry.record.task_id
+        if self._orphans.get(task_id) is orphan and entry.called == peer:
             silent = Refusal("unable", f"did not take it within {CALLED_S:g} s")
             self._registrar.kernel.tell(MIGRATOR, AttemptOver(self._registrar, task_id, peer, silent, None))
 
-    def _over(self, over: MoveOver) -> None:
+    def over(self, over: MoveOver) -> None:
         """The negotiation is over, one way or the other."""
         orphan, entry = self._orphans.get(over.task_id), self._registrar.entries.get(over.task_id)
         if orphan is None or entry is None:
             return
-        orphan.negotiating_s, orphan.called, entry.called = None, "", ""
+        orphan.negotiating_s, entry.called = None, ""
         if orphan.asked is not None:
             self._answer(orphan, over.reason, {**over.result, **self._loss(entry, orphan)} if over.result else None)
             return
@@ -328,7 +316,7 @@ class Takeovers:
             return
         entry = registrar.entries.get(call.task_id)
         members = entry.record.members if entry is not None and registrar.me in entry.record.members else []
-        known = members or [it for one in call.sets for it in one]
+        known = members or members_in(call.sets)
         if peer not in {it.agent for it in known}:
             self._not_believed(peer, call.task_id, f"{peer} does not guard it")
             return
@@ -352,7 +340,8 @@ class Takeovers:
         registrar = self._registrar
         if entry.memory.taking != NO_EPOCH:
             return
-        registrar.host(entry, call.service)
+        if not entry.record.service:
+            entry.record = msgspec.structs.replace(entry.record, service=call.service)
         self._called += 1
         registrar.event("task_called", task=call.task_id.name, silent_s=call.silent_s)
         registrar.feed(entry, Fed(rules.Call(call.floor, call.sets), peer))
@@ -438,7 +427,7 @@ class Takeovers:
     def _look_at_polled(self, task_id: TaskId, orphan: _Orphan) -> None:
         if orphan.asked is None or orphan.negotiating_s is not None:
             return
-        members = list(dict.fromkeys(it for one in orphan.sets for it in one))
+        members = members_in(orphan.sets)
         silent = ", ".join(sorted(it.agent for it in members if it not in orphan.over))
         known = f"{len(orphan.over)} of its {len(members)} guardians say that its owner is silent"
         self._answer(orphan, f"{task_id} is not taken over: {known}, and not {silent}")
@@ -464,19 +453,15 @@ class Takeovers:
             "lease_left_s": max(0.0, entry.alarm.due_s - now_s) if entry.lease.beat else None,
             "wanted": record.snapshot != b"" and record.wanted is Wanted.RUNNING,
         }
-        if not record.owned or not record.snapshot:
-            return row
-        try:
-            snapshot = Snapshot.decode(record.snapshot)
-        except MigrationError:  # where the task is started, that is said
+        if not record.owned or entry.held is None:
             return row
         permits = registrar.kernel.permits
-        address = join(registrar.agent, snapshot.service, record.task_id.name)
+        address = join(registrar.agent, record.service, record.task_id.name)
         permit_s = permits.left_s(right_of(record))
         return {
             **row,
             "guardians": [member.agent for member in record.members],
-            "guard": snapshot.guard["copies"] if snapshot.guard is not None else 1,
+            "guard": entry.held.number,
             "permit_s": permit_s if permit_s is not None else record.lease_s,
             "held_back": permits.held_back(str(record.task_id)),
             "clock_steps": permits.steps(str(record.task_id)),
@@ -495,9 +480,7 @@ class Takeovers:
         record, now_s = entry.record, self._registrar.kernel.host.now()
         task_id = record.task_id
         is_meant = asked.task in ("", task_id.name) and asked.birthplace in ("", task_id.birthplace)
-        if not is_meant or not record.snapshot or not (record.in_doubt or record.members):
-            return {}
-        if not record.in_doubt and not record.guarded:
+        if not is_meant or not record.snapshot or not (record.in_doubt or record.guarded):
             return {}
         try:
             snapshot = Snapshot.decode(record.snapshot)

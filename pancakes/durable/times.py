@@ -11,17 +11,17 @@ class Times(msgspec.Struct, frozen=True):
     No safety hangs on any of them: a timer may fire at any time, early, late or never.
 
     Attributes:
-        bid_window_s: how long a source waits for other answers to its SOLICIT where a neighbour has bid.
-        patience_s: how long it waits where none has: a neighbour may import the task's class first.
-        reserve_s: how long it waits for RESERVED before it asks the next bidder.
-        slot_s: how long a destination keeps the slot of a reservation.
-        prepare_s: how long a source waits, frozen, for PREPARED; the transfer's own time is added.
+        bid_window_s: how long a source waits for other answers once a neighbour has bid.
+        patience_s: how long it waits if none has: a neighbour may import the task's class first.
+        reserve_s: how long it waits for the cheapest bidder to keep room, before it asks the next one.
+        slot_s: how long a destination keeps that room.
+        prepare_s: how long a paused task waits for its heir to ask for it; the time of the transfer is added.
         rate_bytes_per_s: the slowest transfer that is waited for.
         resend_s: the first pause before a message is sent again.
         spread: each pause is drawn from `1 - spread` to `1 + spread` times its length.
         back_off_s: the longest pause of what never times out.
         warn_s: after this time in doubt a person is told.
-        retry_write_s: how long after a failed write to the journal a frozen source tries again.
+        retry_write_s: how long after a failed write to the journal it is tried again.
     """
 
     bid_window_s: float = 0.5

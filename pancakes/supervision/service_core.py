@@ -539,6 +539,6 @@ class ServiceCore(ActorCore):
         """Return whether the sender of a request has not been told yet what becomes of it."""
         return self._answers.waits(request)
 
-    def tell_asked(self, what: str, slot: Slot, request: Request) -> None:
+    def tell_asked(self, what: str, task: str, request: Request) -> None:
         """Tell `log` what was asked for."""
-        self.event("asked", what=what, task=slot.name, service=self.name, by=request.by, number=request.number)
+        self.event("asked", what=what, task=task, service=self.name, by=request.by, number=request.number)

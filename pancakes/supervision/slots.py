@@ -235,7 +235,7 @@ class Commanded(Protocol):
 
     def reply(self, request: Request, refusal: Refusal | None = None, result: Any = None) -> None: ...
 
-    def tell_asked(self, what: str, slot: Slot, request: Request) -> None: ...
+    def tell_asked(self, what: str, task: str, request: Request) -> None: ...
 
     def command_waits(self, slot: Slot, request: Request) -> None: ...
 
@@ -269,7 +269,7 @@ def start(service: Commanded, slot: Slot, body: Start, request: Request) -> None
         return
     if life.restarts.due_s is not None and (reason := service.refuse_start(slot)):
         raise ControlRefusedError(reason, "unable")  # its next try stays due
-    service.tell_asked("start", slot, request)
+    service.tell_asked("start", slot.name, request)
     service.command_waits(slot, request)
     if body.settings is not None:
         slot.carried = carried
@@ -287,7 +287,7 @@ def stop(service: Commanded, slot: Slot, body: Stop, request: Request) -> None:
     if body.dry_run:
         service.reply(request)
         return
-    service.tell_asked("stop", slot, request)
+    service.tell_asked("stop", slot.name, request)
     service.command_waits(slot, request)
     service.feed(slot, StopAsked(request, f"asked for by {request.by}"))
 
@@ -298,7 +298,7 @@ def restart(service: Commanded, slot: Slot, body: Restart, request: Request) -> 
         service.reply(request, Refusal.if_any(service.refuse_start(slot)))
         return
     service.command_waits(slot, request)
-    service.tell_asked("restart", slot, request)
+    service.tell_asked("restart", slot.name, request)
     slot.fresh = not body.keep_state
     service.feed(slot, StopAsked(request, f"restart asked for by {request.by}", again=True))
 

@@ -189,10 +189,8 @@ SHARED = tuple(
 """The packages with tables that actors share."""
 
 MAY_CALL = {
-    "pancakes/durable/host_state.py: self._reservations": "a table that this lock guards",
     "pancakes/durable/host_state.py: self._kernel.host": "the clock",
-    "pancakes/durable/courier.py: encode_packet": "it is pure",
-    "pancakes/durable/courier.py: self._outbox": "it is pure, and this lock guards it",
+    "pancakes/durable/courier.py: stream": "it is pure, and this lock guards it",
     "pancakes/kernel/dispatchers.py: wake": "a queue",
     "pancakes/kernel/dispatchers.py: worker": "a new thread, which waits for this lock only after its start",
     "pancakes/kernel/stream.py: hint_of": "it compares names",

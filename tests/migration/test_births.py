@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
+
 import pytest
 
 from pancakes.durable.answers import fact_of, newest_fact
 from pancakes.durable.messages import Fact
-from pancakes.durable.questions import Birth, BirthFacts, Verdict, birth_of
+from pancakes.durable.questions import Finding, Verdict, birth_of
 from pancakes.durable.record import Record, TaskId
 from pancakes.durable.register import Epoch, Identity, Register, Wanted
 
@@ -17,32 +20,32 @@ LATER = Fact(TASK, Register(Epoch(2, C), 0, ((C,),)))
 
 
 @pytest.mark.parametrize(
-    ("facts", "verdict", "missing"),
+    ("decide", "verdict", "missing"),
     [
-        (BirthFacts(), Verdict.BORN, ()),
-        (BirthFacts(("b", "c"), ("c", "b", "d")), Verdict.BORN, ()),
-        (BirthFacts(("b", "c"), ("b",)), Verdict.WAITS, ("c",)),
-        (BirthFacts(("b", "c"), ("b",), over=True), Verdict.UNASKED, ("c",)),
-        (BirthFacts(("b", "c"), (), guardians=(), over=True), Verdict.WAITS, ("b", "c")),
-        (BirthFacts(("b", "c"), ("b", "c"), guardians=("d", "e")), Verdict.BORN, ()),
-        (BirthFacts(("b", "c"), ("b",), guardians=("b", "c"), over=True), Verdict.WAITS, ("c",)),
-        (BirthFacts(("b", "c", "d"), ("b", "c"), guardians=("b", "c"), over=True), Verdict.UNASKED, ("d",)),
-        (BirthFacts(("b", "c", "d"), ("b", "c"), guardians=("b", "c")), Verdict.WAITS, ("d",)),
-        (BirthFacts(("b",), ("c",), guardians=("c",), over=True), Verdict.UNASKED, ("b",)),
-        (BirthFacts(("b",), ("b",), (THERE,)), Verdict.RESTS, ()),
-        (BirthFacts((), (), (THERE,)), Verdict.RESTS, ()),
-        (BirthFacts(("b", "c"), ("b",), (THERE,), over=True), Verdict.RESTS, ("c",)),
-        (BirthFacts(("b",), ("b",), (THERE,), guardians=("b",), over=True), Verdict.RESTS, ()),
+        (partial(birth_of), Verdict.GOES_ON, ()),
+        (partial(birth_of, ("b", "c"), ("c", "b", "d")), Verdict.GOES_ON, ()),
+        (partial(birth_of, ("b", "c"), ("b",)), Verdict.WAITS, ("c",)),
+        (partial(birth_of, ("b", "c"), ("b",), over=True), Verdict.UNASKED, ("c",)),
+        (partial(birth_of, ("b", "c"), (), guardians=(), over=True), Verdict.WAITS, ("b", "c")),
+        (partial(birth_of, ("b", "c"), ("b", "c"), guardians=("d", "e")), Verdict.GOES_ON, ()),
+        (partial(birth_of, ("b", "c"), ("b",), guardians=("b", "c"), over=True), Verdict.WAITS, ("c",)),
+        (partial(birth_of, ("b", "c", "d"), ("b", "c"), guardians=("b", "c"), over=True), Verdict.UNASKED, ("d",)),
+        (partial(birth_of, ("b", "c", "d"), ("b", "c"), guardians=("b", "c")), Verdict.WAITS, ("d",)),
+        (partial(birth_of, ("b",), ("c",), guardians=("c",), over=True), Verdict.UNASKED, ("b",)),
+        (partial(birth_of, ("b",), ("b",), (THERE,)), Verdict.RESTS, ()),
+        (partial(birth_of, (), (), (THERE,)), Verdict.RESTS, ()),
+        (partial(birth_of, ("b", "c"), ("b",), (THERE,), over=True), Verdict.RESTS, ("c",)),
+        (partial(birth_of, ("b",), ("b",), (THERE,), guardians=("b",), over=True), Verdict.RESTS, ()),
     ],
 )
-def test_the_decision(facts: BirthFacts, verdict: Verdict, missing: tuple[str, ...]) -> None:
-    birth = birth_of(facts)
+def test_the_decision(decide: Callable[[], Finding], verdict: Verdict, missing: tuple[str, ...]) -> None:
+    birth = decide()
     assert (birth.verdict, birth.missing) == (verdict, missing)
 
 
 @pytest.mark.parametrize("known", [(THERE, LATER), (LATER, THERE)])
 def test_of_several_facts_the_newest_is_told(known: tuple[Fact, ...]) -> None:
-    assert birth_of(BirthFacts(known=known)) == Birth(Verdict.RESTS, fact=LATER)
+    assert birth_of(known=known) == Finding(Verdict.RESTS, fact=LATER)
 
 
 def test_a_record_says_that_the_task_was_born_and_not_its_state() -> None:

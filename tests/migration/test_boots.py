@@ -6,7 +6,7 @@ import pytest
 
 from pancakes.durable.answers import MOST_JOURNALS, Boot, BootsSeen
 from pancakes.durable.messages import Fact
-from pancakes.durable.questions import CopyVerdict, copied_task
+from pancakes.durable.questions import Verdict, copied_task
 from pancakes.durable.record import TaskId
 from pancakes.durable.register import Epoch, Identity, Register
 
@@ -68,21 +68,21 @@ LATER, SAME = Fact(TASK, Register(Epoch(4, B), 0, ((B,),))), Fact(TASK, Register
 @pytest.mark.parametrize(
     ("sayers", "told", "known", "verdict", "missing"),
     [
-        ("", "", [], CopyVerdict.GOES_ON, ()),
-        ("b", "", [], CopyVerdict.GOES_ON, ()),
-        ("b", "b", [LATER], CopyVerdict.GOES_ON, ()),
-        ("bc", "", [], CopyVerdict.WAITS, ("b", "c")),
-        ("bc", "b", [], CopyVerdict.WAITS, ("c",)),
-        ("bc", "bd", [SAME], CopyVerdict.WAITS, ("c",)),
-        ("bc", "bc", [], CopyVerdict.GOES_ON, ()),
-        ("bc", "bc", [SAME], CopyVerdict.GOES_ON, ()),
-        ("bc", "b", [LATER], CopyVerdict.ELSEWHERE, ()),
-        ("bcd", "bcd", [SAME, LATER], CopyVerdict.ELSEWHERE, ()),
+        ("", "", [], Verdict.GOES_ON, ()),
+        ("b", "", [], Verdict.GOES_ON, ()),
+        ("b", "b", [LATER], Verdict.GOES_ON, ()),
+        ("bc", "", [], Verdict.WAITS, ("b", "c")),
+        ("bc", "b", [], Verdict.WAITS, ("c",)),
+        ("bc", "bd", [SAME], Verdict.WAITS, ("c",)),
+        ("bc", "bc", [], Verdict.GOES_ON, ()),
+        ("bc", "bc", [SAME], Verdict.GOES_ON, ()),
+        ("bc", "b", [LATER], Verdict.RESTS, ()),
+        ("bcd", "bcd", [SAME, LATER], Verdict.RESTS, ()),
     ],
 )
 def test_what_becomes_of_a_task_on_an_old_copy(
-    sayers: str, told: str, known: list[Fact], verdict: CopyVerdict, missing: tuple[str, ...]
+    sayers: str, told: str, known: list[Fact], verdict: Verdict, missing: tuple[str, ...]
 ) -> None:
     copied = copied_task(OURS, set(sayers), set(told), known)
     assert (copied.verdict, copied.missing) == (verdict, missing)
-    assert copied.fact == (LATER if verdict is CopyVerdict.ELSEWHERE else None)
+    assert copied.fact == (LATER if verdict is Verdict.RESTS else None)

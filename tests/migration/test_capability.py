@@ -7,7 +7,7 @@ from msgspec.structs import replace
 
 from pancakes.control import Refusal
 from pancakes.durable.messages import Solicit
-from pancakes.durable.negotiation import Capability, Reservation, Reservations, compatible
+from pancakes.durable.negotiation import Capability, compatible
 from pancakes.durable.record import TaskId
 from pancakes.migration import ActiveTasks, CostFacts, HostLoad
 
@@ -15,7 +15,7 @@ SCAN = TaskId("agent1", "ScanTarget")
 REQUEST = Solicit(SCAN, 1, "encirclement.ScanTarget", "0.1.2", "client", ("pose", "motors"), moves_on_below=0.65)
 ROBOT = Capability(
     devices=("battery", "ir", "motors", "pose", "sonar"),
-    types={"encirclement.ScanTarget": "0.1.0"},
+    version="0.1.0",
     battery_level=0.99,
 )
 
@@ -29,18 +29,18 @@ def test_a_robot_with_all_that_is_asked_for_refuses_nothing() -> None:
     [
         ({"devices": ("motion", "pose")}, "lacks the device type motors", "unsupported"),
         ({"devices": ()}, "lacks the device types pose, motors", "unsupported"),
-        ({"types": {}}, "knows no task type 'encirclement.ScanTarget'", "unsupported"),
+        ({"version": None}, "knows no task type 'encirclement.ScanTarget'", "unsupported"),
         (
-            {"types": {}, "faults": {"encirclement.ScanTarget": "it cannot be loaded: no camera"}},
+            {"version": None, "fault": "it cannot be loaded: no camera"},
             "loaded: no camera",
             "unsupported",
         ),
         (
-            {"types": {"encirclement.ScanTarget": "0.2.0"}},
+            {"version": "0.2.0"},
             "has encirclement.ScanTarget in version 0.2.0, not 0.1.2",
             "unsupported",
         ),
-        ({"names": {"ScanTarget": TaskId("agent2", "ScanTarget")}}, "has a task named ScanTarget already", "conflict"),
+        ({"holder": TaskId("agent2", "ScanTarget")}, "has a task named ScanTarget already", "conflict"),
         ({"battery_level": 0.74}, "has 74% of its battery", "unable"),
         ({"role": "environment"}, "is no host of tasks but in the role 'environment'", "unsupported"),
         ({"costs": ()}, "knows no cost function 'tasks'", "unsupported"),
@@ -51,7 +51,7 @@ def test_a_robot_with_all_that_is_asked_for_refuses_nothing() -> None:
         ),
         ({"services": ()}, "runs no service 'client' that takes tasks in, nor any other", "unsupported"),
         (
-            {"records": {SCAN: "map"}},
+            {"recorded": "map"},
             "has a record of agent1/ScanTarget in its service 'map', not in 'client'",
             "unsupported",
         ),
@@ -70,7 +70,7 @@ def test_all_reasons_are_given_at_once() -> None:
 
 
 def test_the_name_of_the_task_itself_is_no_hindrance() -> None:
-    assert replace(ROBOT, names={"ScanTarget": SCAN}).refusal_of(REQUEST) is None
+    assert replace(ROBOT, holder=SCAN).refusal_of(REQUEST) is None
 
 
 def test_a_task_without_a_battery_rule_may_go_anywhere() -> None:
@@ -91,17 +91,6 @@ def test_a_task_without_a_battery_rule_may_go_anywhere() -> None:
 )
 def test_versions(offered: str, here: str, may: bool) -> None:
     assert compatible(offered, here) is may
-
-
-def test_a_slot_is_kept_until_it_expires_or_is_freed() -> None:
-    home = TaskId("agent1", "GoHome")
-    slots = Reservations()
-    slots.keep(SCAN, Reservation("agent1", until_s=105.0))
-    slots.keep(home, Reservation("agent1", until_s=106.0))
-    assert slots.kept(104.9) == (home, SCAN)
-    assert slots.kept(105.0) == (home,)
-    slots.free(home)
-    assert slots.kept(105.0) == ()
 
 
 def test_the_paper_s_cost_is_the_number_of_active_tasks() -> None:

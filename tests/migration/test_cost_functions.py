@@ -125,7 +125,7 @@ def test_weights_that_are_none(choice: str | dict[str, float], fault: str) -> No
 
 def test_a_candidate_refuses_functions_that_it_does_not_know_and_weights_that_are_none() -> None:
     asked = Solicit(TaskId("a", "X"), 1, "x", "1", "client", cost={"tasks": 1.0, "charm": 1.0, "wit": 1.0})
-    here = Capability(types={"x": "1"}, costs=("tasks",))
+    here = Capability(version="1", costs=("tasks",))
     assert here.refusal_of(asked) == Refusal("unsupported", "knows no cost functions 'charm', 'wit'")
     assert "not nan" in str(here.refusal_of(replace(asked, cost={"tasks": math.nan})))
     assert here.refusal_of(replace(asked, cost={"tasks": 0.0})) is None

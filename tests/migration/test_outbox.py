@@ -4,7 +4,8 @@ import gc
 
 import pytest
 
-from pancakes.durable.delivery import ForwardTo, Outbox, Outgoing, OutgoingLetter, Receipt
+from pancakes.durable.courier import Outbox
+from pancakes.durable.delivery import ForwardTo, Outgoing, OutgoingLetter, Receipt
 from pancakes.durable.record import TaskId
 
 SINK = TaskId("a", "Sink")
@@ -17,7 +18,10 @@ def box():
 
 
 def post(box, *packets, sender=ME, now_s=0.0):
-    return letters(sent for packet in packets for sent in box.post(sender, SINK, packet, "a", now_s))
+    box.take_unsent()
+    for packet in packets:
+        box.post(sender, SINK, packet, "a", now_s)
+    return letters(box.take_unsent())
 
 
 def letters(to_send):
@@ -27,6 +31,12 @@ def letters(to_send):
 def acknowledge(box, letter, seq, epoch_n=0):
     """The agent a says that letters up to a number have had their effect."""
     box.acknowledged(Receipt("a/Sink", letter.stream, seq, epoch_n), "a", 0.0)
+
+
+def due(box, now_s):
+    """What is to be sent by then."""
+    box.look(now_s)
+    return letters(box.take_unsent())
 
 
 def numbered(letters):
@@ -43,30 +53,31 @@ def test_each_task_that_sends_has_a_stream_and_all_others_have_one():
 
 
 def test_a_new_stream_begins_where_the_others_know_the_task_to_be(box):
-    assert box.host_of(ME, SINK) == ""
     post(box, b"1")
     box.forwarded(ForwardTo("a/Sink", "b", 3), "a", 0.0)
-    assert box.host_of("s/Other", SINK) == "b"
+    box.take_unsent()
+    box.post("s/Other", SINK, b"2", "a", 0.0)
+    assert [getattr(sent, "peer", "") for sent in box.take_unsent()] == ["b"]
 
 
 def test_a_task_goes_on_in_its_stream_on_its_new_host(box):
     acknowledge(box, post(box, b"1", b"2", b"3")[0], 1)
     posted = box.leave(ME)
     there = Outbox("t/uuid.1", "t")
-    there.arrive(ME, posted, fresh=True)
+    there.arrive(ME, posted, fresh=True, now_s=0.0)
     # What was not acknowledged is sent again from there, and wants its acknowledgement there.
-    again = letters(there.due(0.0))
+    again = due(there, 0.0)
     assert numbered(again) == [("s/uuid.1/1", 2, "t"), ("s/uuid.1/1", 3, "t")]
     assert [letter.first for letter in again] == [2, 2]
     assert numbered(post(there, b"4")) == [("s/uuid.1/1", 4, "t")]
     box.gone(ME)
-    assert box.waiting() == {} and box.due(100.0) == []
+    assert box.waiting() == {} and due(box, 100.0) == []
 
 
 def test_numbers_go_on_where_all_was_acknowledged(box):
     acknowledge(box, post(box, b"1")[0], 1)
     there = Outbox("t/uuid.1", "t")
-    there.arrive(ME, box.leave(ME), fresh=True)
+    there.arrive(ME, box.leave(ME), fresh=True, now_s=0.0)
     assert numbered(post(there, b"2")) == [("s/uuid.1/1", 2, "t")]
 
 
@@ -84,14 +95,14 @@ def test_what_it_sends_in_its_end_has_no_stream_of_its_own_until_it_comes_back(b
     box.gone(ME, ends=True)
     assert numbered(post(box, b"1")) == [("s/uuid.1", 1, "s")]
     box.ended(ME)
-    box.arrive(ME, posted, fresh=True)
+    box.arrive(ME, posted, fresh=True, now_s=0.0)
     assert numbered(post(box, b"2")) == [("s/uuid.1/1", 1, "s")]
 
 
 def test_one_that_comes_back_before_its_end_was_told_has_its_stream_at_once(box):
     box.leave(ME)
     box.gone(ME, ends=True)
-    box.arrive(ME, None, fresh=True)
+    box.arrive(ME, None, fresh=True, now_s=0.0)
     assert numbered(post(box, b"1")) == [("s/uuid.1/1", 1, "s")]
 
 
@@ -99,9 +110,9 @@ def test_one_that_begins_anew_while_it_is_thought_to_leave_has_a_stream_of_its_o
     """It was adopted: whoever was to have it is gone for good."""
     post(box, b"1")
     posted = box.leave(ME)
-    box.arrive(ME, posted, fresh=False)
+    box.arrive(ME, posted, fresh=False, now_s=0.0)
     assert numbered(post(box, b"2")) == [("s/uuid.1/2", 1, "s")]
-    assert numbered(letters(box.due(100.0)))[0] == ("s/uuid.1/1", 1, "s")
+    assert numbered(due(box, 100.0))[0] == ("s/uuid.1/1", 1, "s")
 
 
 def test_a_thousand_moves_to_and_fro_leave_no_stream_behind():
@@ -112,7 +123,7 @@ def test_a_thousand_moves_to_and_fro_leave_no_stream_behind():
     posted = None
     for _ in range(500):
         for box in (here, there):
-            box.arrive(ME, posted, fresh=True)
+            box.arrive(ME, posted, fresh=True, now_s=0.0)
             posted = box.leave(ME)
             box.gone(ME, ends=True)
             post(box, b"goodbye")
@@ -133,8 +144,8 @@ def test_where_it_may_have_run_since_what_is_in_the_snapshot_comes_and_a_new_str
     post(box, b"1", b"2")
     posted = box.leave(ME)
     there = Outbox("t/uuid.2", "t")
-    there.arrive(ME, posted, fresh=False)
-    again = letters(there.due(0.0))
+    there.arrive(ME, posted, fresh=False, now_s=0.0)
+    again = due(there, 0.0)
     assert numbered(again) == [("s/uuid.1/1", 1, "t"), ("s/uuid.1/1", 2, "t")]
     assert numbered(post(there, b"other")) == [("t/uuid.2/1", 1, "t")]
     acknowledge(there, again[0], 2, epoch_n=1)
@@ -144,9 +155,9 @@ def test_where_it_may_have_run_since_what_is_in_the_snapshot_comes_and_a_new_str
 def test_a_task_that_fails_and_begins_anew_keeps_its_stream(box):
     posted = box.leave(ME)
     there = Outbox("t/uuid.1", "t")
-    there.arrive(ME, posted, fresh=True)
+    there.arrive(ME, posted, fresh=True, now_s=0.0)
     post(there, b"1", b"2")
-    there.arrive(ME, posted, fresh=False)
+    there.arrive(ME, posted, fresh=False, now_s=0.0)
     assert numbered(post(there, b"3")) == [("t/uuid.1/1", 3, "t")]
 
 
@@ -154,9 +165,11 @@ def test_a_stream_that_nobody_adds_to_is_forgotten_once_all_is_acknowledged(box)
     (letter,) = post(box, b"1")
     posted = box.leave(ME)
     there = Outbox("t/uuid.2", "t")
-    there.arrive(ME, posted, fresh=False)
+    there.arrive(ME, posted, fresh=False, now_s=0.0)
     acknowledge(there, letter, 1)
-    assert there.host_of("", SINK) == ""
+    there.take_unsent()
+    there.post("", SINK, b"2", "c", 0.0)
+    assert [getattr(sent, "peer", "") for sent in there.take_unsent()] == ["c"]
 
 
 def test_stream_that_moves_tells_nothing_of_the_others():

@@ -6,6 +6,7 @@ import pytest
 from migration.bad_networks import NAME, SCAN, STREAM, post_over_a_bad_network
 from seeded import for_each
 
+from pancakes.durable.courier import Outbox
 from pancakes.durable.delivery import (
     ASKED,
     IN_FLIGHT,
@@ -19,7 +20,6 @@ from pancakes.durable.delivery import (
     Incoming,
     Letter,
     LostLetters,
-    Outbox,
     Outgoing,
     OutgoingLetter,
     Receipt,
@@ -116,12 +116,9 @@ class TestWhatIsLost:
 
     def test_a_box_says_which_task_has_sent_them(self):
         box = Outbox("me/uuid.1", "me")
-        names = tuple(
-            sent.letter.stream
-            for sender in ("", "me/Source")
-            for sent in box.post(sender, SCAN, b"packet", "a", 0.0)
-            if isinstance(sent, OutgoingLetter)
-        )
+        for sender in ("", "me/Source"):
+            box.post(sender, SCAN, b"packet", "a", 0.0)
+        names = tuple(sent.letter.stream for sent in box.take_unsent() if isinstance(sent, OutgoingLetter))
         for name in names:
             box.acknowledged(Receipt("a/Scan", name, 1, 0, 0, 0), "a", 0.0)
         assert box.unsure_of("a/Scan", 3) == names

@@ -16,7 +16,6 @@ from pancakes.durable.reconcile import (
     Award,
     Came,
     CameToRest,
-    Conclude,
     Course,
     Drop,
     Freeze,
@@ -29,17 +28,15 @@ from pancakes.durable.reconcile import (
     LetGoOn,
     Now,
     OpenPlace,
-    PartConcluded,
     PlaceFree,
     Prepare,
     Refused,
     Resume,
     Room,
-    StartConfigured,
+    ServiceBegan,
     StillOverdue,
     StoodStill,
     TakeDown,
-    TakeUp,
     Tell,
     Vacate,
     Warn,
@@ -104,8 +101,8 @@ class Bench:
 
     def running(self) -> Bench:
         """Start the task from its register."""
-        self.feed(StartConfigured())
-        self.feed(Room(self.of(AskRoom)))
+        self.feed(ServiceBegan())
+        self.feed(Room())
         self.feed(Admitted(), Began())
         assert self.life is not None and self.life.state is State.RUNNING and self.course.settled
         return self
@@ -132,8 +129,8 @@ def bench() -> Bench:
 
 def test_task_that_is_new_is_written_before_it_starts() -> None:
     it = Bench(Standing.NONE)
-    it.feed(StartConfigured())
-    it.feed(Room(it.of(AskRoom), snapshot=STATE))
+    it.feed(ServiceBegan())
+    it.feed(Room(snapshot=STATE))
     told = it.of(Tell)
     assert (told.write, told.event) == (Write.START, rules.Begin(Epoch(-1, NOBODY), STATE))
     it.came(OWNED, Desired.RUN, (Write.START, Outcome.WRITTEN, ""), (Write.START, Outcome.COUNTS, ""))
@@ -144,30 +141,30 @@ def test_task_that_is_new_is_written_before_it_starts() -> None:
 
 def test_task_that_is_here_starts_without_a_write() -> None:
     it = Bench(OWNED, Desired.RUN)
-    it.feed(StartConfigured())
-    it.feed(Room(it.of(AskRoom)))
+    it.feed(ServiceBegan())
+    it.feed(Room())
     assert it.of(Prepare) == Prepare(fresh=False)
 
 
 @pytest.mark.parametrize("standing", [Standing.YIELDED, Standing.HEIR, Standing.MEMBER, Standing.RELEASED])
 def test_task_that_is_elsewhere_is_not_started(standing: Standing) -> None:
     it = Bench(standing)
-    assert it.feed(StartConfigured()) and it.kinds() == ["Settle"]
+    assert it.feed(ServiceBegan()) and it.kinds()[-1] == "Settle"
     it.feed(StartAsked(REQUEST))
     assert it.of(Answer).reason and it.life is not None and it.life.state is State.STOPPED
 
 
 def test_start_that_has_no_room_is_refused() -> None:
     it = Bench(OWNED, Desired.RUN)
-    it.feed(StartConfigured())
-    it.feed(Room(it.of(AskRoom), "lacks the device type motors"))
+    it.feed(ServiceBegan())
+    it.feed(Room("lacks the device type motors"))
     assert it.life is not None and (it.life.state, it.life.reason) == (State.REFUSED, "lacks the device type motors")
 
 
 def test_start_that_cannot_be_written_is_put_off() -> None:
     it = Bench(Standing.NONE)
-    it.feed(StartConfigured())
-    it.feed(Room(it.of(AskRoom), snapshot=STATE))
+    it.feed(ServiceBegan())
+    it.feed(Room(snapshot=STATE))
     it.came(None, Desired.END, (Write.START, Outcome.DELAYED, "the disk is full"))
     assert it.life is not None and (it.life.state, it.life.reason) == (State.ASKED, "the disk is full")
     it.came(OWNED, Desired.RUN, (Write.START, Outcome.WRITTEN, ""))
@@ -176,8 +173,8 @@ def test_start_that_cannot_be_written_is_put_off() -> None:
 
 def test_guarded_task_waits_for_its_permit() -> None:
     it = Bench(GUARDED, Desired.PAUSE)
-    it.feed(StartConfigured(), StartAsked(REQUEST))
-    it.feed(Room(it.of(AskRoom)))
+    it.feed(ServiceBegan(), StartAsked(REQUEST))
+    it.feed(Room())
     assert it.course.granted and "Prepare" not in it.kinds()
     it.came(None, Desired.RUN)
     assert it.kinds() == ["Prepare"]
@@ -230,10 +227,6 @@ def test_migration_from_the_award_to_the_end() -> None:
     assert it.of(HandedOver) == HandedOver("b", Epoch(1, B, 4), SEQUEL)
     it.feed(Finished("it ended"))
     assert isinstance(it.of(Vacate), Vacate) and not it.course.leaving
-    it.feed(PartConcluded())
-    assert it.kinds() == []
-    it.feed(PartConcluded())
-    assert it.effects == [Conclude()]
 
 
 def test_stop_during_a_migration_takes_the_offer_back() -> None:
@@ -283,9 +276,7 @@ def test_answer_to_an_older_question_means_nothing() -> None:
 
 def test_heir_that_does_not_ask_loses_the_offer() -> None:
     it = bench().moving()
-    moving = it.course.moving
-    assert moving is not None
-    it.feed(GiveUpDue(moving.number, "did not ask for the task within 5.0 s"))
+    it.feed(GiveUpDue(it.course.moves, "did not ask for the task within 5.0 s"))
     assert it.of(Tell) == Tell(Write.GIVE_UP, rules.GiveUp())
     it.came(BACK, Desired.RUN, (Write.GIVE_UP, Outcome.WRITTEN, ""), (Write.GIVE_UP, Outcome.COUNTS, ""))
     assert isinstance(it.of(Resume), Resume)
@@ -358,14 +349,14 @@ def test_task_that_comes_opens_a_place_and_starts_there() -> None:
     assert it.came(owned, Desired.RUN) == [OpenPlace()]
     it.life = Life("a/client/Scan", Restarts(RestartSpec()))
     it.feed(PlaceFree())
-    it.feed(Room(it.of(AskRoom)))
+    it.feed(Room())
     assert it.of(Prepare) == Prepare(fresh=True)
 
 
 @pytest.mark.parametrize("standing", [Standing.HEIR, Standing.YIELDED])
 def test_migration_in_doubt_is_told_of_once_it_lasts(standing: Standing) -> None:
     it = Bench(standing, has_place=False)
-    it.feed(TakeUp())
+    it.feed(ServiceBegan())
     (later,) = it.effects
     assert isinstance(later.event, InDoubt)
     assert [type(told) for told in it.feed(later.event)] == [Warn]
@@ -376,13 +367,13 @@ def test_migration_in_doubt_is_told_of_once_it_lasts(standing: Standing) -> None
 def test_sequel_is_done_after_a_restart() -> None:
     it = Bench(Standing.RELEASED, has_place=False)
     it.course = replace(it.course, record=record(GONE, SEQUEL))
-    it.feed(TakeUp())
+    it.feed(ServiceBegan())
     assert it.of(HandedOver) == HandedOver("b", Epoch(1, B, 4), SEQUEL)
 
 
 def test_offer_of_a_service_that_ended_is_taken_back() -> None:
     it = Bench(OFFERED, Desired.PAUSE)
-    it.feed(StartConfigured())
+    it.feed(ServiceBegan())
     assert it.of(Tell) == Tell(Write.GIVE_UP, rules.GiveUp())
     it.came(BACK, Desired.RUN, (Write.GIVE_UP, Outcome.WRITTEN, ""))
     assert isinstance(it.of(AskRoom), AskRoom), "it goes on here"
@@ -390,6 +381,6 @@ def test_offer_of_a_service_that_ended_is_taken_back() -> None:
 
 def test_start_that_was_refused_leave_is_tried_again() -> None:
     it = Bench(OWNED, Desired.RUN)
-    it.feed(StartConfigured())
-    it.feed(Room(it.of(AskRoom)), LeaveRefused("its actuators are not free"))
+    it.feed(ServiceBegan())
+    it.feed(Room(), LeaveRefused("its actuators are not free"))
     assert it.life is not None and it.life.state is State.REFUSED and not it.course.granted

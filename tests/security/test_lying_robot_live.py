@@ -32,9 +32,9 @@ from pancakes.durable.messages import (
     Solicit,
     addressed,
 )
+from pancakes.durable.quotas import MOST_OFFERED
 from pancakes.durable.record import TaskId
 from pancakes.durable.register import NO_EPOCH, NOBODY, Epoch, Identity, Register, Standing, Wanted
-from pancakes.durable.registrar import MOST_OFFERED
 from pancakes.durable.snapshot import Snapshot
 from pancakes.mesh.codec import encode_packet
 from pancakes.packet import Packet, packet_type, task_address

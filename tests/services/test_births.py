@@ -305,7 +305,7 @@ def test_that_a_task_was_born_is_believed_only_of_an_agent_that_may_host_or_guar
     says(fleet, "x", owns(fleet, "x", TASK))
     fleet.run_for(12.0)
     assert a.running("client") == ([] if right else ["Sink"])
-    refused = any("x says that a/Sink was born before, and is not believed: a does not" in it for it in a.lines())
+    refused = any("x says that it knows a/Sink, and is not believed: a does not" in it for it in a.lines())
     assert refused == (not right)
 
 

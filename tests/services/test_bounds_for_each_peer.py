@@ -15,9 +15,9 @@ from pancakes.durable.delivery import Letter
 from pancakes.durable.host_state import MOST_SLOTS
 from pancakes.durable.hosting import MOST_GIVEN, MOST_GIVEN_BYTES, TaskLetters
 from pancakes.durable.messages import Bid, BootRemembered, Fact, Known, Refuse
+from pancakes.durable.quotas import MOST_OFFERED
 from pancakes.durable.record import TaskId
 from pancakes.durable.register import Epoch, Identity
-from pancakes.durable.registrar import MOST_OFFERED
 from pancakes.durable.rules import MOST_STEP
 from pancakes.durable.times import Times
 from pancakes.mesh.memory_network import Quality
@@ -70,7 +70,7 @@ def brought(fleet, name):
 
 
 def test_tasks_that_were_brought_and_taken_back_leave_a_bounded_number_of_marks(fleet, monkeypatch):
-    monkeypatch.setattr("pancakes.durable.registrar.MOST_LEFT", 5)
+    monkeypatch.setattr("pancakes.durable.quotas.MOST_LEFT", 5)
     b, declined = fleet.agents["b"], heard_by(fleet, "c", Refuse)
     for number in range(20):
         brought(fleet, f"T{number}")

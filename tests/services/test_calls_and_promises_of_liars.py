@@ -8,7 +8,7 @@ from services.counting import Count
 from services.strangers import identity, say, tell
 
 from pancakes.control import Guarding
-from pancakes.durable import registrar
+from pancakes.durable import quotas
 from pancakes.durable.messages import Accept, Bid, Call, Fact, Prepare, Promise, Refuse, Solicit
 from pancakes.durable.record import Record, TaskId
 from pancakes.durable.register import NO_EPOCH, Epoch, Register, Wanted
@@ -116,7 +116,7 @@ def test_owner_that_has_gone_is_replaced_whatever_a_stranger_says_of_the_members
 
 
 def test_made_up_tasks_are_remembered_only_up_to_a_bound(fleet: Fleet, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(registrar, "MOST_LEFT", 5)
+    monkeypatch.setattr(quotas, "MOST_LEFT", 5)
     b, pair = fleet.agents["b"], (identity(fleet, "b"), identity(fleet, "d"))
     for number in range(20):
         task_id, register = TaskId("d", f"T{number}"), Register(Epoch(0, pair[1]), 1, (pair,))
@@ -130,7 +130,7 @@ def test_made_up_tasks_are_remembered_only_up_to_a_bound(fleet: Fleet, monkeypat
 
 @pytest.mark.parametrize("how", ["asks for promises", "offers"])
 def test_tasks_that_a_stranger_makes_up_are_bounded(fleet: Fleet, monkeypatch: pytest.MonkeyPatch, how: str) -> None:
-    monkeypatch.setattr(registrar, "MOST_LEFT", 5)
+    monkeypatch.setattr(quotas, "MOST_LEFT", 5)
     b, (one, d) = fleet.agents["b"], (identity(fleet, "b"), identity(fleet, "d"))
     for number in range(20):
         task_id = TaskId("d", f"T{number}")

@@ -66,7 +66,7 @@ def test_a_restart_while_a_checkpoint_is_being_written_starts_the_task_again(fle
     agent = fleet.start("a", tasks={"Count": Count})
     found = place(agent, "Count")
     fleet.run_for(0.5)
-    assert fleet.run_until(lambda: not found.idle)
+    assert fleet.run_until(lambda: not found.course.settled)
     n = agent.task("Count").state.n
     reply = agent.ask(Restart("Count"))
     assert reply.ok, reply.reason

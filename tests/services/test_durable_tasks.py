@@ -185,7 +185,7 @@ def test_the_last_state_is_the_one_that_holds_also_where_another_is_still_being_
     fleet.run_for(2.5)
     (place,) = agent.component("client").places.values()
     agent.task("Switch").state.on = True
-    assert fleet.run_until(lambda: not place.idle)
+    assert fleet.run_until(lambda: not place.course.settled)
     agent.task("Switch").state.on = False
     fleet.stop("a")
     assert fleet.restart("a").task("Switch").state.on is False

@@ -10,7 +10,7 @@ import pytest
 from msgspec.structs import replace
 from services.strangers import identity, say
 
-from pancakes.durable import registrar
+from pancakes.durable import quotas, registrar
 from pancakes.durable.messages import REGISTRAR, Accept, Accepted, CanGuard, Known, MayGuard, Prepare, Promise
 from pancakes.durable.record import TaskId
 from pancakes.durable.register import NO_EPOCH, Epoch, Register
@@ -179,7 +179,7 @@ def test_a_task_does_not_change_its_type(fleet: Fleet) -> None:
 
 
 def test_an_agent_guards_a_bounded_number_of_tasks_of_a_peer(fleet: Fleet, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(registrar, "MOST_TASKS", 2)
+    monkeypatch.setattr(quotas, "MOST_GUARDED", 2)
     for name in ("One", "Two"):
         assert isinstance(answered(fleet, "a", keep(fleet, task_id=TaskId("a", name))), Accepted)
     assert answered(fleet, "a", keep(fleet, task_id=TaskId("a", "Three"))) is None
@@ -187,13 +187,13 @@ def test_an_agent_guards_a_bounded_number_of_tasks_of_a_peer(fleet: Fleet, monke
 
 
 def test_an_agent_keeps_a_bounded_number_of_bytes_for_a_peer(fleet: Fleet, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(registrar, "MOST_BYTES", 100_000)
+    monkeypatch.setattr(quotas, "MOST_BYTES", 100_000)
     for name in ("One", "Two"):
         kept = answered(fleet, "a", keep(fleet, state=b"x" * 45_000, task_id=TaskId("a", name)))
         assert isinstance(kept, Accepted)
     assert answered(fleet, "a", keep(fleet, state=b"x" * 15_000, task_id=TaskId("a", "Five"))) is None
     (told,) = [line for line in fleet.agents["b"].lines("warning") if "a/Five" in line]
-    assert "90000 bytes of tasks of a already, and 100000 at most" in told
+    assert "guards 2 tasks of a already (90000 bytes), and no more" in told
 
 
 @pytest.mark.parametrize("right", ["guard", "host"])

@@ -8,9 +8,9 @@ from services.strangers import ask_for_room, heard_by, identity, offer, owns, ro
 from pancakes.control import Checkpoints, Forget, Migrate, Stop
 from pancakes.durable.bidding_messages import MIGRATOR
 from pancakes.durable.messages import Accept, Bid, Fact, Promise, Refuse, addressed
+from pancakes.durable.quotas import MOST_OFFERED
 from pancakes.durable.record import TaskId
 from pancakes.durable.register import Epoch, Identity, Register, Standing
-from pancakes.durable.registrar import MOST_OFFERED
 from pancakes.durable.snapshot import cut
 from pancakes.packet import Packet
 from pancakes.testing import Fleet

@@ -54,6 +54,13 @@ def test_a_name_is_taken_by_a_task_for_which_a_slot_is_kept(fleet):
     assert refusal(b, "c") == "has a task named Count already (a/Count)" and refusal(b, "a") == ""
     b.agent.host_state.free(request.task_id)
     assert refusal(b, "c") == ""
+    assert b.agent.host_state.reserve("a", request) is None
+    fleet.run_for(4.9)
+    assert b.agent.host_state.is_expected("a", request.task_id) and not b.agent.host_state.is_expected(
+        "c", request.task_id
+    )
+    fleet.run_for(0.2)
+    assert not b.agent.host_state.is_expected("a", request.task_id) and refusal(b, "c") == ""
 
 
 def test_a_hand_off_keeps_its_own_service_from_being_stopped_and_no_other(fleet):

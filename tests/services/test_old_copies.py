@@ -182,7 +182,7 @@ def test_until_they_have_told_all_its_tasks_stand_still_and_it_says_why(fleet: F
         assert not refused.ok and f"a/{task} may be elsewhere by now" in refused.reason
         assert not a.ask(Start(task, dry_run=True)).ok
     assert not a.ask(Migrate("Sink", to="b")).ok
-    assert sum("its tasks stand still until these have told where they are" in it for it in a.lines("error")) == 1
+    assert sum("its tasks are paused until these have told where they are" in it for it in a.lines("error")) == 1
     assert a.ask(Restart("client")).ok
     fleet.run_for(1.0)
     assert state(a) == ("stopped", "old copy"), "a service that begins anew is told too"

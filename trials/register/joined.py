@@ -177,10 +177,10 @@ class Joined:
 
     def _reconcile_AskRoom(self, world: World, effect: Any, waiting: deque[Any]) -> World:
         if world.has("spawns") >= self._bounds.spawns:
-            waiting.append(reconcile.Room(effect, "it lacks something"))
+            waiting.append(reconcile.Room("it lacks something"))
         else:
             may_begin = world.course.record.may_begin
-            waiting.append(reconcile.Room(effect, snapshot=world.carried or (BIRTH if may_begin else b"")))
+            waiting.append(reconcile.Room(snapshot=world.carried or (BIRTH if may_begin else b"")))
         return world
 
     def _reconcile_OpenPlace(self, world: World, effect: Any, waiting: deque[Any]) -> World:
@@ -293,9 +293,6 @@ class Joined:
 
     def _reconcile_HandedOver(self, world: World, effect: Any, waiting: deque[Any]) -> World:
         return world._replace(parts=world.parts + 2)
-
-    def _reconcile_Conclude(self, world: World, effect: Any, waiting: deque[Any]) -> World:
-        return world._replace(sequel=b"")
 
     # The registrar ---------------------------------------------------------------------------------------------
 
@@ -499,7 +496,7 @@ class Joined:
             yield f"{type(timer).__name__} comes", self.feed(world._replace(timers=world.timers - {timer}), timer)
         if world.parts:
             rest = world._replace(parts=world.parts - 1)
-            yield "a part of what follows is done", self.feed(rest, reconcile.PartConcluded())
+            yield "a part of what follows is done", rest if rest.parts else rest._replace(sequel=b"")
         if any(write is Write.REST for write in world.waits):
             yield "its members do not confirm its rest", self.feed(world, reconcile.RestOverdue("too few confirm it"))
 
@@ -534,7 +531,7 @@ class Joined:
         course = Course(record, desired(A, register, Memory()))
         world = World(self._life(), course, register, memory, sequel, spent=spent, settled=False)
         wanted = record.may_begin or not record.owned or record.wanted is Wanted.RUNNING
-        world = self.feed(world, reconcile.StartConfigured()) if wanted else world
+        world = self.feed(world, reconcile.ServiceBegan()) if wanted else world
         return self.came(world)
 
     def first(self) -> Iterator[tuple[str, World]]:
