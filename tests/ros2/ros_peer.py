@@ -11,7 +11,7 @@ import sys
 import threading
 import time
 from importlib import import_module
-from typing import Any
+from typing import Any, ClassVar
 
 import rclpy
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
@@ -65,6 +65,9 @@ def say(**told: Any) -> None:
 class Robot:
     """The body behind an action server: it moves while it works on a goal, and says when it begins and ends."""
 
+    moving: ClassVar[list[str]] = []
+    """The ids of the goals that robots of this process work on."""
+
     def __init__(self, node: Node, name: str, kind: Any, order: dict[str, Any]) -> None:
         self.name, self.kind, self.order = name, kind, order
         self.at_work: list[tuple[Any, Any]] = []  # the goals, and what wakes the coroutine of each
@@ -88,7 +91,8 @@ class Robot:
 
     async def execute(self, goal: Any) -> Any:
         id, steps = bytes(goal.goal_id.uuid.tolist()).hex(), 0
-        say(begins=self.name, id=id, at_work=len(self.at_work))
+        say(begins=self.name, id=id, steps=int(goal.request.order), at_work=len(self.moving))
+        self.moving.append(id)
         feedback, result = self.kind.Feedback(), self.kind.Result()
         state = "succeeded"
         while steps < goal.request.order:
@@ -106,6 +110,7 @@ class Robot:
                 state = "abort"
                 break
         {"succeeded": goal.succeed, "canceled": goal.canceled, "abort": goal.abort}[state]()
+        self.moving.remove(id)
         say(ends=self.name, id=id, state=state, steps=steps)
         result.sequence = feedback.sequence
         return result

@@ -4,7 +4,7 @@ import json
 from dataclasses import dataclass, field
 from typing import Any
 
-from pancakes_ros2.action_task import ActionState, ActionTask
+from pancakes_ros2.action_task import ActionTask
 from pancakes_ros2.goal_packets import CALL, Call, CallAnswer, GoalStatus
 
 from pancakes.packet import CTRL, SYSTEM
@@ -17,11 +17,8 @@ class Errand(ActionTask[Any, Any]):
     @dataclass
     class Settings:
         goals: list[str] = field(default_factory=list)
+        endless: bool = False
         cancel: bool = False
-
-    @dataclass
-    class State(ActionState):
-        ends: list[str] = field(default_factory=list)
 
     def on_start(self) -> None:
         self.heard = 0
@@ -32,8 +29,9 @@ class Errand(ActionTask[Any, Any]):
             self.cancel_goal()
 
     def go_on(self) -> None:
-        if not self.goal_is_open and self.state.number < len(self.settings.goals):
-            self.send_goal(json.loads(self.settings.goals[self.state.number]))
+        goals, done = self.settings.goals, self.state.number
+        if not self.goal_is_open and (done < len(goals) or self.settings.endless):
+            self.send_goal(json.loads(goals[done % len(goals)]))
 
     def on_goal_feedback(self, status: GoalStatus) -> None:
         self.heard += 1
@@ -41,7 +39,6 @@ class Errand(ActionTask[Any, Any]):
             self.event("goal_goes_on", feedback=str(status.feedback))
 
     def on_goal_end(self, status: GoalStatus) -> None:
-        self.state.ends.append(status.state)
         self.event("goal_ended", number=status.number, state=status.state, result=str(status.result), why=status.text)
         self.go_on()
 
