@@ -15,7 +15,6 @@ from pancakes_ros2.goal_machine import (
     SETTLED_S,
     STAYS_S,
     SUCCEEDED,
-    TELL_UNCANCELLED_S,
     TELL_WAITING_S,
     UNKNOWN,
     AskResult,
@@ -26,6 +25,7 @@ from pancakes_ros2.goal_machine import (
     Tell,
     Warn,
 )
+from pancakes_ros2.goal_packets import GoalState
 
 A, B = ("one/client/Go", 1), ("one/client/Go", 2)
 FIELDS = {"order": 3}
@@ -45,7 +45,7 @@ class Bench:
             self.look()
             self.let(SETTLED_S)
 
-    def _add(self, effects):
+    def add(self, effects):
         self.told += effects
         return effects
 
@@ -54,10 +54,10 @@ class Bench:
         return self.look()
 
     def look(self):
-        return self._add(self.machine.look(self.servers, self.ready, self.now_s))
+        return self.add(self.machine.look(self.servers, self.ready, self.now_s))
 
     def want(self, key=A, fields=FIELDS, ttl_s=TTL_S):
-        return self._add(self.machine.want(key, fields, self.now_s + ttl_s, self.now_s))
+        return self.add(self.machine.want(key, fields, self.now_s + ttl_s, self.now_s))
 
     def keep(self, time_s, key=A, fields=FIELDS):
         """Wants a goal ten times a second."""
@@ -69,17 +69,17 @@ class Bench:
     def runs(self, key=A):
         """Has a goal sent and accepted; returns its id."""
         (sent,) = [it for it in self.want(key) if isinstance(it, Send)]
-        self._add(self.machine.answered(sent.id, True, self.now_s))
+        self.add(self.machine.answered(sent.id, True, self.now_s))
         return sent.id
 
     def result(self, id, status, result=None):
-        return self._add(self.machine.result(id, status, result, self.now_s))
+        return self.add(self.machine.result(id, status, result, self.now_s))
 
     def hold(self):
-        return self._add(self.machine.hold(self.now_s))
+        return self.add(self.machine.hold(self.now_s))
 
     def alone(self):
-        return self._add(self.machine.alone(self.now_s))
+        return self.add(self.machine.alone(self.now_s))
 
     def count(self, kind):
         return sum(isinstance(it, kind) for it in self.told)
@@ -125,7 +125,7 @@ def test_a_goal_that_is_not_wanted_is_cancelled_until_it_has_ended(end):
         assert Cancel(id) in told
     assert any("does not end a goal" in it.text for it in bench.told if isinstance(it, Warn))
     told = bench.result(id, CANCELED)
-    state = "canceled" if end == "cancel" else "held"
+    state: GoalState = "canceled" if end == "cancel" else "held"
     assert Tell(A, state) in told
     assert {type(it) for it in told} == {"alone": {Tell, Leave}, "another goal": {Tell, Send}}.get(end, {Tell})
     assert Cancel(id) not in (bench.let(2 * CANCEL_AGAIN_S))
@@ -141,9 +141,9 @@ def test_a_goal_that_is_accepted_when_nobody_wants_it_any_more_is_cancelled_then
     bench = Bench()
     (sent,) = bench.want()
     assert bench.alone() == [Cancel(sent.id)]
-    told = bench._add(bench.machine.cancel_answered(sent.id, UNKNOWN, bench.now_s))
+    told = bench.add(bench.machine.cancel_answered(sent.id, UNKNOWN, bench.now_s))
     assert told == [], "it may be accepted yet"
-    told = bench._add(bench.machine.answered(sent.id, True, bench.now_s))
+    told = bench.add(bench.machine.answered(sent.id, True, bench.now_s))
     assert Cancel(sent.id) in told
     assert bench.result(sent.id, CANCELED)[-1] == Leave()
 
@@ -169,10 +169,10 @@ def test_success_counts_also_if_it_comes_after_a_cancel():
 def test_a_server_that_refuses_or_a_goal_that_is_none_is_an_end():
     bench = Bench()
     (sent,) = bench.want()
-    (told,) = bench._add(bench.machine.answered(sent.id, False, bench.now_s))
+    (told,) = bench.add(bench.machine.answered(sent.id, False, bench.now_s))
     assert (told.state, told.text) == ("refused", "the server of /one/go refuses it")
     (sent,) = bench.want(B)
-    assert bench._add(bench.machine.unsendable(sent.id, "no field x", 0.0)) == [Tell(B, "refused", "no field x")]
+    assert bench.add(bench.machine.unsendable(sent.id, "no field x", 0.0)) == [Tell(B, "refused", "no field x")]
 
 
 def test_what_the_server_ends_by_itself_is_told():
@@ -213,9 +213,9 @@ def test_a_server_that_does_not_answer_is_given_up_and_what_it_accepts_later_is_
     told = bench.keep(3.0, B)
     assert Cancel(sent.id) in told
     assert not any(isinstance(it, Send) for it in told)
-    bench._add(bench.machine.cancel_answered(sent.id, UNKNOWN, bench.now_s))
+    bench.add(bench.machine.cancel_answered(sent.id, UNKNOWN, bench.now_s))
     assert bench.count(Send) == 2, "the next goal is sent once nothing is left of this one"
-    assert Cancel(sent.id) in bench._add(bench.machine.answered(sent.id, True, bench.now_s))
+    assert Cancel(sent.id) in bench.add(bench.machine.answered(sent.id, True, bench.now_s))
 
 
 def test_a_server_that_does_not_cancel_is_told_of_and_gets_no_other_goal():
@@ -223,7 +223,7 @@ def test_a_server_that_does_not_cancel_is_told_of_and_gets_no_other_goal():
     id = bench.runs()
     bench.want(B)
     for _ in range(10):
-        bench._add(bench.machine.cancel_answered(id, REJECTED, bench.now_s))
+        bench.add(bench.machine.cancel_answered(id, REJECTED, bench.now_s))
         bench.keep(1.0, B)
     assert bench.count(Send) == 1
     assert bench.count(Cancel) >= 10
@@ -235,16 +235,16 @@ def test_a_goal_whose_result_does_not_come_is_given_up():
     bench = Bench()
     id = bench.runs()
     bench.hold()
-    bench._add(bench.machine.cancel_answered(id, UNKNOWN, bench.now_s))
+    bench.add(bench.machine.cancel_answered(id, UNKNOWN, bench.now_s))
     assert any("gives no result" in it.text for it in bench.let(RESULT_S) if isinstance(it, Warn))
 
 
 def test_goals_of_a_former_life_are_cancelled_and_those_of_others_are_not():
     bench = Bench()
-    told = bench._add(bench.machine.listed([(b"mark-before", 2), (b"others", 2), (b"mark-over", 4)], bench.now_s))
+    told = bench.add(bench.machine.listed([(b"mark-before", 2), (b"others", 2), (b"mark-over", 4)], bench.now_s))
     assert told == [Cancel(b"mark-before")]
     assert not any(isinstance(it, Send) for it in bench.want())
-    told = bench._add(bench.machine.listed([(b"mark-before", 5)], bench.now_s))
+    told = bench.add(bench.machine.listed([(b"mark-before", 5)], bench.now_s))
     assert [type(it) for it in told] == [Send]
 
 
@@ -274,7 +274,8 @@ EVENTS = st.lists(
 def test_whatever_happens_at_most_one_goal_is_at_work_and_none_that_nobody_wants(events):
     """The server here does as it is told: it accepts, works, and ends a goal when it is asked to cancel it."""
     bench = Bench()
-    sent, at_work = [], set()
+    sent: list[bytes] = []
+    at_work: set[bytes] = set()
 
     def obey(effects):
         for effect in effects:
@@ -285,7 +286,7 @@ def test_whatever_happens_at_most_one_goal_is_at_work_and_none_that_nobody_wants
                 at_work.discard(effect.id)
                 obey(bench.result(effect.id, CANCELED))
             elif isinstance(effect, Cancel) and effect.id not in sent:
-                obey(bench._add(bench.machine.cancel_answered(effect.id, UNKNOWN, bench.now_s)))
+                obey(bench.add(bench.machine.cancel_answered(effect.id, UNKNOWN, bench.now_s)))
 
     for name, wait_s in events:
         if name.startswith("want"):
@@ -298,7 +299,7 @@ def test_whatever_happens_at_most_one_goal_is_at_work_and_none_that_nobody_wants
             id = sent.pop()
             if name == "accept":
                 at_work.add(id)
-            obey(bench._add(bench.machine.answered(id, name == "accept", bench.now_s)))
+            obey(bench.add(bench.machine.answered(id, name == "accept", bench.now_s)))
         elif name in ("result", "ok") and at_work:
             obey(bench.result(at_work.pop(), SUCCEEDED if name == "ok" else ABORTED))
         obey(bench.let(wait_s))

@@ -168,7 +168,7 @@ def test_what_is_wrong_with_a_goal_or_a_server_is_one_sentence(start_agent, serv
         "another": f"the action server /refuses/go has the type {FIBONACCI}, not test_msgs/action/NestedMessage",
         "refuses": "state=refused result=None why=the server of /refuses/go refuses it",
         "fields": f"state=refused result=None why=it is no goal of {FIBONACCI}: 'a lot' does not fit the field 'order'",
-        "unknown": f"state=refused result=None why=it is no goal of {FIBONACCI}: the message has no field 'more', only order",
+        "unknown": f"state=refused result=None why=it is no goal of {FIBONACCI}: the message has no field 'more'",
         "fails": "goal_ended number=1 state=aborted result={'sequence': [1]}",
         "absent": "there is no action type nav2_msgs/action/NavigateToPose: the package nav2_msgs is not installed:"
         " install it, or source the workspace that has it",

@@ -16,8 +16,8 @@ from harness.report import json_option, spread, write
 from torture.fuzz import fuzz as fuzz_agent
 from torture.fuzz import unsound
 from torture.gate_command import gate
-from torture.live_commands import cuts, gap, kills
 from torture.goals_command import goals
+from torture.live_commands import cuts, gap, kills
 from torture.load_commands import load
 from torture.missions import FIGURES, figures_of, fly_all
 from torture.safety_commands import collisions, halts

@@ -1,4 +1,4 @@
-"""Kill the agent whose task has a goal at an action server of ROS 2: another one has it reached, and no robot drives on.
+"""Kill the agent whose task has a goal at an action server of ROS 2: another one has it reached, no robot drives on.
 
 The robots are action servers of another release in a process that is never struck, and the oracle: it says when a goal
 is begun, and how it ends. Each has an agent; the task is guarded by three of these.
@@ -125,7 +125,7 @@ class GoalFleet:
         """Kill the owner of the task so often."""
         for number in range(kills):
             self._wait_until_whole()
-            self._kill(KINDS[number % 4 == 3])
+            self._kill(KINDS[number % 5 == 4])
             done(self.tally)
             if len(self.tally.failures) > 10:
                 break

@@ -21,13 +21,16 @@ from torture.goals import GoalTally, kill_agents
 def goals(kills: int, seed: int, domain: int, json_file: Path | None) -> None:
     """Kill the agent whose task has a goal at an action server of ROS 2: another one has it reached.
 
-    One kill in four is a stop (SIGSTOP). The first run makes environments with two releases of ROS 2, as the tests do.
+    One kill in five is a stop (SIGSTOP). The first run makes environments with two releases of ROS 2, as the tests do.
     The exit code is 0 only if each goal was reached once by another robot in time, and no robot drove on.
     """
     began_s = time.monotonic()
 
     def told(tally: GoalTally) -> None:
-        print(f"{tally.kills.total()} kills, {len(tally.failures)} failures, {time.monotonic() - began_s:.0f} s", flush=True)
+        print(
+            f"{tally.kills.total()} kills, {len(tally.failures)} failures, {time.monotonic() - began_s:.0f} s",
+            flush=True,
+        )
 
     with tempfile.TemporaryDirectory(prefix="pancakes-run-") as runtime:
         os.environ["PANCAKES_RUNTIME_DIR"] = runtime

@@ -1,12 +1,12 @@
 """A task with a goal for an action server of its robot, which moves with the task.
 
-    class Visit(ActionTask):
-        def on_start(self) -> None:
-            if not self.state.number:
-                self.send_goal(pose_goal(4.0, 2.0))
+class Visit(ActionTask):
+    def on_start(self) -> None:
+        if not self.state.number:
+            self.send_goal(pose_goal(4.0, 2.0))
 
-        def on_goal_end(self, status: GoalStatus) -> None:
-            self.log.info(f"the goal has {status.state}")
+    def on_goal_end(self, status: GoalStatus) -> None:
+        self.log.info(f"the goal has {status.state}")
 """
 
 from __future__ import annotations

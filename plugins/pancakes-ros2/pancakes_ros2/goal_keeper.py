@@ -19,7 +19,6 @@ from functools import partial
 from typing import Any, Final
 
 from pancakes.devices.driver import Pace
-from pancakes.errors import PancakesError
 from pancakes.util import codecs
 from pancakes.util.clock import MonotonicClock
 from pancakes_ros2.goal_machine import AskResult, Cancel, Effect, GoalMachine, Leave, Send, Tell, Warn
@@ -109,9 +108,7 @@ class GoalKeeper:
             self._others = ", ".join(sorted(kinds - {self._setup.action}))
         self._looks += 1
         why = f"the action server {self._name} has the type {self._others}, not {self._setup.action}"
-        self._carry_out(
-            self._machine.look(self._servers, self._ready, self._now(), why if self._others else "")
-        )
+        self._carry_out(self._machine.look(self._servers, self._ready, self._now(), why if self._others else ""))
         self._say(None)
 
     def _listed(self, message: Any) -> None:
@@ -119,7 +116,7 @@ class GoalKeeper:
         self._carry_out(self._machine.listed(goals, self._now()))
 
     def _answered(self, id: bytes, future: Any) -> None:
-        handle = future.result()
+        handle: Any = future.result()
         self._handles = {id: handle}
         self._carry_out(self._machine.answered(id, bool(handle.accepted), self._now()))
 
@@ -133,9 +130,10 @@ class GoalKeeper:
         self._carry_out(self._machine.result(id, int(answer.status), plain_of(answer.result), self._now()))
 
     def _cancel_answered(self, id: bytes, future: Any) -> None:
+        code = int(future.result().return_code)
         if self._cancels.get(id) is future:
             del self._cancels[id]
-            self._carry_out(self._machine.cancel_answered(id, int(future.result().return_code), self._now()))
+        self._carry_out(self._machine.cancel_answered(id, code, self._now()))
 
     # What is to be done ------------------------------------------------------------------------------------------
 
@@ -199,8 +197,8 @@ class GoalKeeper:
 
 def main() -> None:
     """Keeps the goals of one device until the agent is gone and no goal is left."""
-    for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
-        signal.signal(number, signal.SIG_IGN)  # whoever ends all processes of an agent may end this one last
+    for each in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
+        signal.signal(each, signal.SIG_IGN)  # whoever ends all processes of an agent may end this one last
     have_fields_checked()
     number = os.dup(1)
     os.dup2(2, 1)  # what a library prints is not for the agent

@@ -1,8 +1,8 @@
 """What becomes of the goals of one action server: when each is sent and cancelled. Pure: events and a time go in.
 
-A goal is wanted while fresh commands for it come. At most one is on its way at a time: the next one is sent when the one
-before has ended. A goal that is not wanted any more is cancelled, again each second until it has ended, because nobody
-else would: not even its task is there if its agent was killed.
+A goal is wanted while fresh commands for it come. At most one is at work: the next one is sent when the one before has
+ended. A goal that is not wanted any more is cancelled, again each second until it has ended, because nobody else would:
+not even its task is there if its agent was killed.
 """
 
 from __future__ import annotations
@@ -334,4 +334,3 @@ class GoalMachine:
                 Warn(f"the server of {self.name} does not end a goal that was cancelled: the robot may still move")
             )
         return effects
-
