@@ -23,7 +23,7 @@ from pancakes.util import codecs
 from pancakes.util.clock import MonotonicClock
 from pancakes_ros2.goal_machine import AskResult, Cancel, Effect, GoalMachine, Leave, Send, Tell, Warn
 from pancakes_ros2.installation import have_fields_checked, ros_name, type_class
-from pancakes_ros2.keeper_pipe import Command, Failure, Hold, PipeWriter, Setup, Status, Warned, read_all
+from pancakes_ros2.keeper_pipe import Command, Failure, Hold, PipeWriter, Ready, Setup, Status, Warned, read_all
 from pancakes_ros2.message_fields import Unusable
 from pancakes_ros2.ros_message import fill, plain_of
 from pancakes_ros2.ros_node import RosNode
@@ -85,6 +85,7 @@ class GoalKeeper:
             GoalStatusArray, f"{setup.name}/_action/status", self._listed, qos_profile_action_status_default
         )
         node.create_timer(LOOK_S, self._look)
+        self._say(Ready())
 
     def take(self, order: Command | Hold | None) -> None:
         """Takes an order; None: the agent is gone."""
@@ -185,7 +186,7 @@ class GoalKeeper:
         except Exception as error:  # what rclpy raises must not end the keeper of a goal
             self._say(Warned(f"what the server of {self._name} said was dropped: {error!r}"))
 
-    def _say(self, body: Status | Warned | None) -> None:
+    def _say(self, body: Ready | Status | Warned | None) -> None:
         try:
             if body is None:
                 self._out.flush()

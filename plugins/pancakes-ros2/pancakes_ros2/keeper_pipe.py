@@ -71,6 +71,10 @@ class Warned(msgspec.Struct, frozen=True, tag="warning"):
     text: str
 
 
+class Ready(msgspec.Struct, frozen=True, tag="ready"):
+    """It takes orders now."""
+
+
 class Failure(msgspec.Struct, frozen=True, tag="failure"):
     """It cannot keep any goal, and ends."""
 

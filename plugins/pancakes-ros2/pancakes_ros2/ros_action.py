@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import queue
 import subprocess
 import sys
 import threading
 from dataclasses import dataclass
 from functools import partial
-from typing import Annotated
+from typing import Annotated, Final
 
 from msgspec import Meta
 
@@ -17,10 +18,11 @@ from pancakes.packet import SYSTEM
 from pancakes.util.clock import MonotonicClock
 from pancakes_ros2.goal_packets import GOAL, Goal, GoalStatus
 from pancakes_ros2.installation import checked_type
-from pancakes_ros2.keeper_pipe import Command, Failure, Hold, PipeWriter, Setup, Status, Warned, read_all
+from pancakes_ros2.keeper_pipe import Command, Failure, Hold, PipeWriter, Ready, Setup, Status, Warned, read_all
 from pancakes_ros2.node_table import check_possible, fail
 
 Hz = Annotated[float, Meta(gt=0)]
+STARTS_WITHIN_S: Final = 20.0
 
 
 class RosAction(Actuator):
@@ -59,6 +61,7 @@ class RosAction(Actuator):
         context, settings = self.context, self.settings
         check_possible(context.agent, context.virtual)
         self._now = MonotonicClock().now
+        self._came: queue.SimpleQueue[str] = queue.SimpleQueue()
         self._process = process = subprocess.Popen(
             [sys.executable, "-m", "pancakes_ros2.goal_keeper"],
             stdin=subprocess.PIPE,
@@ -69,6 +72,13 @@ class RosAction(Actuator):
         self._out = PipeWriter(process.stdin.fileno())
         threading.Thread(target=self._listen, args=(process,), name=f"goals-{context.device}", daemon=True).start()
         self._out.put(Setup(context.agent, context.device, settings.action, settings.name, settings.feedback_hz))
+        # A device that runs can be commanded: no task comes to a robot that would let it wait.
+        try:
+            why = self._came.get(timeout=STARTS_WITHIN_S)
+        except queue.Empty:
+            why = f"the goal keeper of {settings.name} has not started within {STARTS_WITHIN_S:g} s"
+        if why:
+            raise PancakesError(why)
 
     def close(self) -> None:
         process, self._process, self._out = self._process, None, None
@@ -93,20 +103,26 @@ class RosAction(Actuator):
             return True  # that it has ended is heard from the thread that listens
 
     def _listen(self, process: subprocess.Popen[bytes]) -> None:
+        """Take what the keeper says, in a thread of its own, until it has ended."""
         assert process.stdout is not None
-        why = ""
+        why, runs = "", False
         with process.stdout as stream:
-            for said in read_all(stream, Status | Warned | Failure):
-                if isinstance(said, Failure):
+            for said in read_all(stream, Ready | Status | Warned | Failure):
+                if isinstance(said, Ready):
+                    runs = True
+                    self._came.put("")
+                elif isinstance(said, Failure):
                     why = said.text
                 elif isinstance(said, Warned):
                     self.context.log.warning(said.text)
                 else:
                     self.context.call(partial(self._tell, said))
         code = process.wait()
-        if self._process is process:
-            gone = f"the goal keeper of {self.settings.name} has ended with exit code {code}"
-            self.context.call(partial(self._fail, process, why or gone))
+        why = why or f"the goal keeper of {self.settings.name} has ended with exit code {code}"
+        if not runs:
+            self._came.put(why)
+        elif self._process is process:
+            self.context.call(partial(self._fail, process, why))
 
     def _tell(self, said: Status) -> None:
         status = GoalStatus(
