@@ -34,6 +34,8 @@ CHECKPOINT_S: Final = 0.1
 LATE_S: Final = 0.2
 """A checkpoint has come to the guardians this long after it was due."""
 STEP_S: Final = 0.05
+LEFT_S: Final = 0.8
+"""So much of the way is left at a kill: more than the time to live of a command."""
 STEPS: Final = (20, 49)
 """A goal of so many steps: each differs from those before and after it."""
 WHOLE_WITHIN_S: Final = 120.0
@@ -180,7 +182,7 @@ class GoalFleet:
         goal = self._hear("begins", 60.0)
         steps, name = goal["steps"], goal["begins"].split("/")[1]
         story = f"kill {tally.kills.total() + 1} ({how.name}) of {name} at a goal of {steps} steps"
-        time.sleep(self._random.uniform(0.0, 0.7 * steps * STEP_S))
+        time.sleep(self._random.uniform(0.0, steps * STEP_S - LEFT_S))
         agent = self._agents[name]
         agent.process.send_signal(how)
         killed_s = time.monotonic()
