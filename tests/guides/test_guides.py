@@ -19,6 +19,8 @@ from typing import Any
 import click
 import pytest
 from harness.guide import ROOT, Example, example, examples, guides
+from pancakes_ros2.goal_packets import Call, CallAnswer, GoalStatus
+from pancakes_ros2.ros_action import RosAction
 
 from pancakes.config import parse
 from pancakes.config.checks import check_plugins
@@ -121,6 +123,9 @@ WHERE: dict[tuple[str, str], str] = {
     ("docs/ros2.md", "pancakes rosbag export"): "not run: tests/ros2/test_bags.py has these commands",
     ("docs/ros2.md", "pancakes rosbag import"): "not run: tests/ros2/test_bags.py has these commands",
     ("docs/ros2.md", "pancakes demo ros2"): "not run: needs ROS 2; tests/ros2",
+    ("docs/ros2-goals.md", "from dataclasses"): f"{HERE}.test_tasks_with_goals_and_calls",
+    ("docs/ros2-goals.md", "from pancakes.packet"): f"{HERE}.test_tasks_with_goals_and_calls",
+    ("docs/ros2-goals.md", "from pancakes import CTRL"): f"{HERE}.test_tasks_with_goals_and_calls",
     ("docs/security.md", "pancakes keys init"): "not run: needs three machines; tests/cli/test_first_hour*.py",
     ("docs/security.md", "pancakes keys join"): "not run: needs three machines; tests/cli/test_first_hour*.py",
     ("docs/security.md", "pancakes agent list"): f"{LIVE}.test_security_of_two_robots",
@@ -226,6 +231,7 @@ INVENTED: dict[str, type] = {
     "gps.serial": InventedSensor,
     "loadwatch.LoadWatch": Invented,
     "nightlight.NightLight": Invented,
+    "patrol.Visit": Invented,
     "sysfs.lamp": InventedActuator,
     "sysfs.light": InventedSensor,
     "watch.Watch": Invented,
@@ -454,3 +460,45 @@ def test_tree_of_the_guide_goes_on_where_it_was():
         b.publish("system", Battery(8.0, 0.1))
         fleet.run_for(0.3)
         assert b.task("Patrol").tree.tip().name == "Stop"
+
+
+def test_tasks_with_goals_and_calls():
+    """Each server succeeds at once; the devices stand for those of a robot."""
+
+    class Robot(Actuator):
+        def write(self, command: Any, ttl_s: float, source: str) -> None:
+            number = command.number
+            if number not in done:
+                done.append(number)
+                answer = (
+                    CallAnswer(self.context.device, source, number, {"success": True})
+                    if isinstance(command, Call)
+                    else GoalStatus(self.context.device, source, number, "succeeded")
+                )
+                self.context.send("system", answer, "")
+
+        def safe_stop(self) -> None:
+            pass
+
+    names: dict[str, Any] = {}
+    for begin in ("from dataclasses", "from pancakes.packet", "from pancakes import CTRL"):
+        code = example("docs/ros2-goals.md", begin)
+        exec(compile(code.text, str(code), "exec"), names)
+    ended = {"Visit": [1, 2, 3], "Wave": [], "Clear": [1]}
+    for task, type_name in {"Visit": "ros2.goal", "Wave": "arm.goal", "Clear": "ros2.call"}.items():
+        done: list[int] = []
+        with Fleet(seed=1) as fleet:
+            robot = fleet.start(
+                "a", devices={"d": type("Device", (Robot,), {"type": type_name})}, tasks={task: names[task]}
+            )
+            fleet.run_for(2.0)
+            assert done == ended[task]
+            if task == "Wave":
+                robot.task("Wave").send_goal({})
+                fleet.run_for(0.1)
+                assert done == [1]
+            if task == "Clear":
+                assert any("{'success': True}" in line for line in robot.lines("info"))
+            if task == "Visit":
+                assert robot.task("Visit").state.visited == 3
+    assert issubclass(names["ArmAction"], RosAction)

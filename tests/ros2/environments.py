@@ -22,7 +22,17 @@ AGENTS = "kilted"
 """The release that agents run with."""
 ROBOTS = "jazzy"
 """The release of the robots that they drive."""
-WHEELS = ("rclpy", "rmw-fastrtps-cpp", "geometry-msgs", "sensor-msgs", "nav-msgs", "std-msgs", "lifecycle-msgs")
+WHEELS = (
+    "rclpy",
+    "rmw-fastrtps-cpp",
+    "geometry-msgs",
+    "sensor-msgs",
+    "nav-msgs",
+    "std-msgs",
+    "lifecycle-msgs",
+    "action-msgs",
+    "test-msgs",
+)
 DEMO = ("cryptography>=43", "matplotlib>=3.8")
 """What a demo needs too, which runs there."""
 MAKING_S = 900
@@ -79,7 +89,11 @@ def environment(domain: int = 0) -> dict[str, str]:
     """
     left_out = ("LD_LIBRARY_PATH", "_ROS_WHEELS_BOOTSTRAP_COMPLETE", "PYTHONPATH", "AMENT_PREFIX_PATH", "VIRTUAL_ENV")
     kept = {key: value for key, value in os.environ.items() if key not in left_out}
-    found = [ROOT, *(path.parent for path in sorted(ROOT.glob("plugins/*/setup.cfg")))]
+    found = [
+        ROOT,
+        Path(__file__).with_name("installed"),
+        *(path.parent for path in sorted(ROOT.glob("plugins/*/setup.cfg"))),
+    ]
     return {
         **kept,
         "ROS_DOMAIN_ID": str(domain),

@@ -11,13 +11,15 @@ import sys
 import threading
 import time
 from importlib import import_module
-from typing import Any
+from typing import Any, ClassVar
 
 import rclpy
+from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message, serialize_message
+from rclpy.task import Future
 
 
 def class_of(name: str) -> Any:
@@ -58,6 +60,60 @@ def quality(order: dict[str, Any]) -> QoSProfile:
 def say(**told: Any) -> None:
     """Says something."""
     print(json.dumps({**told, "at_s": time.monotonic()}), flush=True)
+
+
+class Robot:
+    """The body behind an action server: it moves while it works on a goal, and says when it begins and ends."""
+
+    moving: ClassVar[list[str]] = []
+    """The ids of the goals that robots of this process work on."""
+
+    def __init__(self, node: Node, name: str, kind: Any, order: dict[str, Any]) -> None:
+        self.name, self.kind, self.order = name, kind, order
+        self.at_work: list[tuple[Any, Any]] = []  # the goals, and what wakes the coroutine of each
+        self.server = ActionServer(
+            node,
+            kind,
+            name,
+            self.execute,
+            goal_callback=lambda goal: self.asked(goal),
+            cancel_callback=lambda goal: CancelResponse.REJECT if order.get("keeps_on") else CancelResponse.ACCEPT,
+        )
+        node.create_timer(order.get("step_s", 0.05), self.step)
+
+    def asked(self, goal: Any) -> Any:
+        say(asked=self.name, fields=plain(goal))
+        return GoalResponse.REJECT if self.order.get("refuses") else GoalResponse.ACCEPT
+
+    def step(self) -> None:
+        for _, wakes in list(self.at_work):
+            wakes.set_result(None)
+
+    async def execute(self, goal: Any) -> Any:
+        id, steps = bytes(goal.goal_id.uuid.tolist()).hex(), 0
+        say(begins=self.name, id=id, steps=int(goal.request.order), at_work=len(self.moving))
+        self.moving.append(id)
+        feedback, result = self.kind.Feedback(), self.kind.Result()
+        state = "succeeded"
+        while steps < goal.request.order:
+            entry = (goal, Future())
+            self.at_work.append(entry)
+            await entry[1]
+            self.at_work.remove(entry)
+            if goal.is_cancel_requested:
+                state = "canceled"
+                break
+            steps += 1
+            feedback.sequence = [*feedback.sequence, steps]
+            goal.publish_feedback(feedback)
+            if self.order.get("fails"):
+                state = "abort"
+                break
+        {"succeeded": goal.succeed, "canceled": goal.canceled, "abort": goal.abort}[state]()
+        self.moving.remove(id)
+        say(ends=self.name, id=id, state=state, steps=steps)
+        result.sequence = feedback.sequence
+        return result
 
 
 class Peer:
@@ -118,6 +174,31 @@ class Peer:
             else:
                 setattr(made, field, value)
         client.call_async(made).add_done_callback(lambda done: say(answered=name, message=plain(done.result())))
+
+    def serve(self, order: dict[str, Any]) -> None:
+        """Is the server of an action: a robot that makes a step each `step_s` until it has made those of its goal.
+
+        `refuses` goals, `keeps_on` whatever is cancelled, or `fails` after a step.
+        """
+        name, kind = order["action"], class_of(order["type"])
+        Robot(self.node, name, kind, order)
+        say(serves=name)
+
+    def echo(self, order: dict[str, Any]) -> None:
+        """Is a service that answers with the fields of the request, or `never`."""
+        name, kind = order["service"], class_of(order["type"])
+
+        async def answer(request: Any, response: Any) -> Any:
+            say(called=name, fields=plain(request))
+            if order.get("never"):
+                await Future()
+            for field in request.get_fields_and_field_types():
+                if hasattr(response, field):
+                    setattr(response, field, getattr(request, field))
+            return response
+
+        self.listening.append(self.node.create_service(kind, name, answer))
+        say(serves=name)
 
     def graph(self, order: dict[str, Any]) -> None:
         """Says which nodes there are."""

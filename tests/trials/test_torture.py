@@ -24,6 +24,7 @@ from seeded import for_each
 from torture import __main__ as command
 from torture import (
     gate_command,
+    goals_command,
     live_commands,
     load_commands,
     safety_commands,
@@ -36,6 +37,7 @@ from torture.cuts import Case as Cut
 from torture.fuzz import Fuzzed, unsound
 from torture.gap import Gaps
 from torture.gates import BALLAST_BYTES
+from torture.goals import GoalTally
 from torture.halts import Halting
 from torture.late_acts import LateTally, late_between
 from torture.missions import Job, fly
@@ -124,6 +126,14 @@ def halted(broken: bool) -> Any:
     return lambda *_: [Halting(("r1", "r2"), (0.1, 0.6 if broken else 0.2), ()), Halting(("r1",), (0.1,), ())]
 
 
+def drove(on: bool, late: bool) -> GoalTally:
+    tally = GoalTally(stood_s=[0.1, 0.2], began_s=[2.1], late_s=[2.0])
+    tally.kills["SIGKILL"] += 2
+    tally.drove_on += ["its robot stood after 9 s"] * on
+    tally.wrong += ["the next robot began after 4 s"] * late
+    return tally
+
+
 JUDGED = (
     Judged("missions --seeds 1", command, "fly_all", flown),
     Judged(
@@ -160,6 +170,8 @@ JUDGED = (
     Judged("storms --seeds 2", storm_command, "run_storms", lambda broken: stormy(violated=broken, caught=True)),
     Judged("storms --seeds 2", storm_command, "run_storms", lambda broken: stormy(violated=False, caught=not broken)),
     Judged("takeovers --faults 12", takeover_command, "Takeovers", taken_over),
+    Judged("goals --kills 2", goals_command, "kill_agents", lambda broken: lambda *_: drove(on=broken, late=False)),
+    Judged("goals --kills 2", goals_command, "kill_agents", lambda broken: lambda *_: drove(on=False, late=broken)),
     Judged("collisions --missions 2 --judge own", safety_commands, "fly_all", collided),
     Judged("halts --rounds 2", safety_commands, "halt_often", halted, needs="namespaces"),
 )

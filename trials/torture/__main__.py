@@ -16,6 +16,7 @@ from harness.report import json_option, spread, write
 from torture.fuzz import fuzz as fuzz_agent
 from torture.fuzz import unsound
 from torture.gate_command import gate
+from torture.goals_command import goals
 from torture.live_commands import cuts, gap, kills
 from torture.load_commands import load
 from torture.missions import FIGURES, figures_of, fly_all
@@ -171,7 +172,7 @@ COUNTED = (
 """The figures of fault schedules: their names for people, and their keys in `Outcome.counts`."""
 
 
-for live in (kills, cuts, gap, gate, load, standstill, storms, takeovers, collisions, halts):
+for live in (kills, cuts, gap, gate, load, standstill, storms, takeovers, collisions, halts, goals):
     torture.add_command(live)
 
 

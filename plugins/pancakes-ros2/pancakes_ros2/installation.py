@@ -4,13 +4,20 @@ from __future__ import annotations
 
 import os
 import re
+from collections.abc import Mapping
 from importlib import import_module
 from importlib.util import find_spec
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 from pancakes.errors import PancakesError
 
-_TYPE: Final = re.compile(r"([a-z][a-z0-9_]*)/(?:msg/)?([A-Z][A-Za-z0-9]*)")
+Kind = Literal["msg", "srv", "action"]
+_TYPE: Final = re.compile(r"([a-z][a-z0-9_]*)/(?:(msg|srv|action)/)?([A-Z][A-Za-z0-9]*)")
+_WORDS: Final[Mapping[Kind, tuple[str, str]]] = {
+    "msg": ("message", "geometry_msgs/msg/PoseStamped"),
+    "srv": ("service", "std_srvs/srv/Trigger"),
+    "action": ("action", "nav2_msgs/action/NavigateToPose"),
+}
 NEXT_STEP: Final = (
     "source the setup file of a ROS 2 whose Python is this one (`source /opt/ros/jazzy/setup.bash`),"
     " or install a ROS 2 into this environment; see docs/ros2.md"
@@ -35,16 +42,17 @@ def check_installed() -> None:
         raise PancakesError(f"this Python has no ROS 2, as there is no rclpy: {NEXT_STEP}")
 
 
-def checked_type(name: str) -> str:
-    """Returns the full name of a message type, such as `geometry_msgs/msg/PoseStamped`; `msg/` may be left out.
+def checked_type(name: str, kind: Kind = "msg") -> str:
+    """Returns the full name of a type, such as `geometry_msgs/msg/PoseStamped`; `msg/` may be left out.
 
     Raises:
         ValueError: it is no such name.
     """
     found = _TYPE.fullmatch(name)
-    if found is None:
-        raise ValueError(f"{name!r} is no message type of ROS 2, such as 'geometry_msgs/msg/PoseStamped'")
-    return f"{found[1]}/msg/{found[2]}"
+    if found is None or found[2] not in (None, kind):
+        word, such = _WORDS[kind]
+        raise ValueError(f"{name!r} is no {word} type of ROS 2, such as {such!r}")
+    return f"{found[1]}/{kind}/{found[3]}"
 
 
 def message_class(name: str) -> Any:
@@ -53,19 +61,31 @@ def message_class(name: str) -> Any:
     Raises:
         PancakesError: it is not installed, or cannot be loaded; the sentence says what to do.
     """
-    package, _, kind = checked_type(name).split("/")
+    return type_class(name, "msg")
+
+
+def type_class(name: str, kind: Kind) -> Any:
+    """Returns the class of a type of messages, services or actions that is installed.
+
+    Raises:
+        PancakesError: it is not installed, or cannot be loaded; the sentence says what to do.
+    """
+    package, _, wanted = checked_type(name, kind).split("/")
+    word = _WORDS[kind][0]
     have_fields_checked()
     try:
-        module = import_module(f"{package}.msg")
+        module = import_module(f"{package}.{kind}")
     except ImportError as error:
         if error.name == package:
             reason = f"the package {package} is not installed: install it, or source the workspace that has it"
+        elif error.name == f"{package}.{kind}":
+            reason = f"the package {package} has no {word} types"
         else:
             reason = f"{package} cannot be loaded: {error}"
-        raise PancakesError(f"there is no message type {name}: {reason}") from None
-    found = getattr(module, kind, None)
+        raise PancakesError(f"there is no {word} type {name}: {reason}") from None
+    found = getattr(module, wanted, None)
     if found is None:
-        raise PancakesError(f"there is no message type {name}: {package} of this ROS 2 has no message {kind}")
+        raise PancakesError(f"there is no {word} type {name}: {package} of this ROS 2 has no {word} {wanted}")
     return found
 
 

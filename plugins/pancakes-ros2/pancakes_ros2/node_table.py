@@ -18,6 +18,25 @@ class _Shared:
     users: int = 0
 
 
+def check_possible(agent: str, virtual: bool) -> None:
+    """Makes sure that an agent can be a node.
+
+    Args:
+        agent: the agent's name.
+        virtual: whether the agent lives in virtual time.
+
+    Raises:
+        PancakesError: there is no ROS 2, the agent lives in virtual time, or its name is none in ROS 2.
+    """
+    if virtual:
+        raise PancakesError(
+            f"{agent} lives in virtual time, where no robot of ROS 2 can follow it: run it live,"
+            " or give its devices other drivers, such as `null.*`, for this run"
+        )
+    check_agent_name(agent)
+    check_installed()
+
+
 class NodeTable:
     """The nodes of the agents of a process. Any thread."""
 
@@ -35,13 +54,7 @@ class NodeTable:
         Raises:
             PancakesError: there is no ROS 2, the agent lives in virtual time, or its name is none in ROS 2.
         """
-        if virtual:
-            raise PancakesError(
-                f"{agent} lives in virtual time, where no robot of ROS 2 can follow it: run it live,"
-                " or give its devices other drivers, such as `null.*`, for this run"
-            )
-        check_agent_name(agent)
-        check_installed()
+        check_possible(agent, virtual)
         with self._lock:
             shared = self._nodes.get(agent)
             if shared is None:

@@ -201,10 +201,12 @@ class RosNode:
 
     Args:
         agent: the agent's name.
+        name: the node's own name.
     """
 
-    def __init__(self, agent: str) -> None:
+    def __init__(self, agent: str, name: str = "pancakes") -> None:
         self._name = agent
+        self._own_name = name
         self._lock = threading.Lock()
         self._jobs: deque[tuple[Callable[[Any], None], Failed | None]] = deque()
         self._executor: Any = None
@@ -276,7 +278,7 @@ class RosNode:
         context = self._context = Context()
         rclpy.init(args=[], context=context, signal_handler_options=SignalHandlerOptions.NO)
         node = Node(
-            "pancakes",
+            self._own_name,
             namespace=f"/{self._name}",
             context=context,
             use_global_arguments=False,
