@@ -36,6 +36,8 @@ REFUSED_S: Final = 30.0
 """... and so long after it was refused, as it is on a robot that is at work."""
 NEEDS_LEVEL: Final = 0.8
 """A robot with more is not charged for being idle, however short its reserve is."""
+URGENT: Final = 0.25
+"""Below this share of `idle_below_s` an idle robot also waits for a dock."""
 AWAY_M: Final = 0.3
 """So far from its home an idle robot is in the way."""
 FULL: Final = 0.98
@@ -167,7 +169,7 @@ class ReserveMeter(Task):
             least_rise: see `rise_s`; a share of the battery.
             again_s: a dock that did not charge is used again after this time.
             idle: a task that has the robot charged, started if no task of this robot holds the wheels and the reserve
-                is below `idle_below_s`; empty: none.
+                is below `idle_below_s` and a dock is free, or below a quarter of that; empty: none.
             idle_below_s: see `idle`.
             idle_home_m: where an idle robot stands, (x, y); it also starts `idle` if it is further than 0.3 m from
                 there, such as after a restart. None: wherever it is.
@@ -262,7 +264,8 @@ class ReserveMeter(Task):
         if self._consumption.per_s is not None:
             seconds = self._publish(now_s, battery, self._consumption.per_s, self._place)
         it, home = self.settings, self.settings.idle_home_m
-        needs = seconds < it.idle_below_s and battery.level < NEEDS_LEVEL
+        below_s = it.idle_below_s if self._finds_free_dock(now_s) else URGENT * it.idle_below_s
+        needs = seconds < below_s and battery.level < NEEDS_LEVEL
         away = home is not None and math.dist(self._place, home) > AWAY_M
         if it.idle and (needs or away) and now_s >= self._asks_from_s:
             # Refused while another task holds the wheels: that one has a rule of its own.
@@ -277,6 +280,10 @@ class ReserveMeter(Task):
         if reply.refusal is not None and reply.refusal.code == "not_found" and not self._missing_told:
             self._missing_told = True
             self.log.warning(f"an idle robot is not charged: {reply.reason}. Correct `idle`")
+
+    def _finds_free_dock(self, now_s: float) -> bool:
+        """Return whether a dock is free now. A robot that waits for one holds its wheels, and so takes no task."""
+        return any(it.state == "free" and now_s < heard_s + SILENT_S for heard_s, it in self._heard.values())
 
     def _charged_by(self, now_s: float) -> str:
         """Return the dock that says it charges this robot now."""

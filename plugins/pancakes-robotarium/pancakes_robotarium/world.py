@@ -6,7 +6,6 @@ import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from itertools import combinations
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
@@ -226,14 +225,17 @@ class World(SimulatedWorld):
     def _watch(self, laboratory: Laboratory) -> None:
         """Report what begins: two bodies that touch, and a robot of which a part is outside the arena."""
         arena = self.settings.arena
-        discs = list(self._discs.values())
+        half_x_m, half_y_m = 0.5 * arena.width_m, 0.5 * arena.height_m
         found: set[tuple[str, ...]] = set()
-        for one, other in combinations((*discs, *self._posts.values()), 2):
-            if one.name not in self._posts and math.dist(one.position, other.position) <= one.radius_m + other.radius_m:
-                found.add((one.name, other.name))
-        for disc in discs:
-            if max(abs(disc.x_m) - 0.5 * arena.width_m, abs(disc.y_m) - 0.5 * arena.height_m) + disc.radius_m > 0.0:
-                found.add((disc.name,))
+        rest = [(it.x_m, it.y_m, it.radius_m, it.name) for it in (*self._discs.values(), *self._posts.values())]
+        for place in range(len(self._discs)):  # plain numbers: this is done in each step, for each pair
+            x_m, y_m, radius_m, name = rest[place]
+            if abs(x_m) + radius_m > half_x_m or abs(y_m) + radius_m > half_y_m:
+                found.add((name,))
+            for other_x_m, other_y_m, other_m, other in rest[place + 1 :]:
+                apart_x_m, apart_y_m, touch_m = other_x_m - x_m, other_y_m - y_m, radius_m + other_m
+                if apart_x_m * apart_x_m + apart_y_m * apart_y_m <= touch_m * touch_m:
+                    found.add((name, other))
         for names in sorted(found - self._ongoing):
             kind = "collision" if len(names) > 1 else "out_of_bounds"
             self.incident(kind, self._steps * laboratory.step_s, names, *self._discs[names[0]].position)
