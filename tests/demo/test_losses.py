@@ -61,9 +61,12 @@ def test_an_agent_is_killed_and_started_again_once_each() -> None:
     done: list[str] = []
     told: list[LossStep] = []
     losses = Losses(
-        LOSS.times(3, 300.0), clock.now, lambda agent: done.append(f"kill {agent}"), lambda agent: done.append(f"start {agent}"),
+        LOSS.times(3, 300.0),
+        clock.now,
+        lambda agent: done.append(f"kill {agent}"),
+        lambda agent: done.append(f"start {agent}"),
         told.append,
-    )  # fmt: skip
+    )
     at_s = LOSS.times(3, 300.0)[0].at_s
     assert losses.wait_s() == at_s
     clock.advance_to(at_s - 1.0)

@@ -69,7 +69,9 @@ def test_mission_repeats_to_the_byte(tmp_path: Path) -> None:
 def test_all_robots_of_the_demo_are_told_apart_only_by_name_home_and_first_task() -> None:
     with Simulation.of_demo("endless") as simulation:
         simulation.reset(seed=1)
-        running = {name: set(handle.running()) for name, handle in simulation.agents.items() if name.startswith("robot")}
+        running = {
+            name: set(handle.running()) for name, handle in simulation.agents.items() if name.startswith("robot")
+        }
         described = simulation.agents["robot2"].ask(Describe("Reserve")).result
     assert set.union(*running.values()) == {"Reserve", *TASKS}
     assert len(running) == 8 and all("Reserve" in tasks for tasks in running.values())

@@ -88,17 +88,15 @@ def draw_endless(run: Run, summary: Mapping[str, Any]) -> None:
         levels.set_xlabel("mission time in h")
         levels.set_xlim(0.0, run.ended_s / 3600.0)
         lanes.set_title(
-            f"tasks served for {100.0 * summary['served']:.2f} % of the time, {len(summary['deaths'])} robots died and"
-            f" came back, {summary['charges']} charges, lowest battery {100.0 * (summary['lowest_level'] or 0.0):.0f} %",
+            f"tasks served for {100.0 * summary['served']:.2f} % of the time; deaths: {len(summary['deaths'])},"
+            f" charges: {summary['charges']}, lowest battery: {100.0 * (summary['lowest_level'] or 0.0):.0f} %",
             fontsize=8,
         )
         for name in ("endless.svg", "endless.png"):
             figure.savefig(run.out / name, dpi=150, metadata={"Date": None} if name.endswith("svg") else None)
 
 
-def _lanes(
-    axes: Axes, record: MissionRecord, robots: Sequence[str], colours: Mapping[str, str], end_s: float
-) -> None:
+def _lanes(axes: Axes, record: MissionRecord, robots: Sequence[str], colours: Mapping[str, str], end_s: float) -> None:
     """Draw a lane for each robot, with its task, its charges and its deaths, and one for each dock."""
     charges = charges_of(record, end_s)
     docks = sorted({dock for dock, _ in charges})

@@ -1,8 +1,8 @@
-"""The verdict on the mission without an end: are the tasks served, and does every robot keep its battery and its place.
+"""The verdict on the mission without an end: are its tasks served, and is all well with its robots.
 
-What counts is the truth of the world: where robots were, whose commands their wheels followed, what their batteries had.
-A task is **served** at a moment if one robot's wheels follow it, the robot is where the task is to be done, and it does
-not stand there.
+What counts is the truth of the world: where robots were, whose commands their wheels followed, what was in their
+batteries. A task is **served** at a moment if one robot's wheels follow it, the robot is where the task is to be done,
+and it does not stand there.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from typing import Any, Final
 from pancakes import PancakesError
 from pancakes.tools.demo import Run
 from pancakes.tools.demo.mission_record import Holder, holders
+from pancakes.worlds import robot_model
 from pancakes_encirclement.record import Record, Row, read_record
 from pancakes_encirclement.scenario import find_world
 from pancakes_encirclement.verdict import finish
 from pancakes_robotarium.verdict import VERDICT, read_verdict
-from pancakes.worlds import robot_model
 
 CIRCLE: Final = "robotarium.Circle"
 PATROL: Final = "robotarium.Patrol"
@@ -29,6 +29,8 @@ REACH_M: Final = 0.25
 STILL_M: Final = 0.1
 STILL_S: Final = 10.0
 """A robot that has not left a circle of `STILL_M` for so long stands, and serves nothing."""
+START_S: Final = 30.0
+"""Service counts from here: at first all robots stand at home."""
 CLOCKS_AGREE_S: Final = 0.05
 """Two agents that ran a task at once for less may only have told so: their clocks are not the same."""
 GAPS_TOLD: Final = 5
@@ -147,9 +149,7 @@ def judge_endless(run: Run, limits: EndlessLimits = EndlessLimits()) -> dict[str
     return finish(summary, [*reasons_to_fail(summary, run, limits), *reasons])
 
 
-def judge(
-    record: Record, duties: Sequence[Duty], volts: Mapping[str, tuple[float, float]], run: Run
-) -> dict[str, Any]:
+def judge(record: Record, duties: Sequence[Duty], volts: Mapping[str, tuple[float, float]], run: Run) -> dict[str, Any]:
     """Return the figures of a mission.
 
     Args:
@@ -178,9 +178,7 @@ def judge(
             }
             for name, it in services.items()
         },
-        "gaps": {
-            name: sorted(it.gaps, key=lambda gap: gap[0] - gap[1])[:GAPS_TOLD] for name, it in services.items()
-        },
+        "gaps": {name: sorted(it.gaps, key=lambda gap: gap[0] - gap[1])[:GAPS_TOLD] for name, it in services.items()},
         "two_owners_s": {name: two_owners_s(held[name], services[name], record.paths) for name in services},
         "lowest_level": min(known, default=None),
         "lowest_levels": levels,
@@ -217,6 +215,8 @@ def served(paths: Mapping[str, Sequence[Row]], robots: Sequence[str], duties: Se
     for row_of in zip(*(paths[robot] for robot in robots), strict=False):
         time_s = last_s = row_of[0].t_s
         stands = {robot: next(still[robot]) for robot in robots}
+        if time_s < START_S:
+            continue
         for duty in duties:
             service = found[duty.name]
             drives = [(robot, row) for robot, row in zip(robots, row_of, strict=True) if row.driven_by == duty.name]
@@ -280,7 +280,9 @@ def reasons_to_fail(summary: Mapping[str, Any], run: Run, limits: EndlessLimits)
             f"the tasks were served for {summary['served']:.2%} of the time, less than {limits.served:.1%}: {shares}"
         )
     reasons += [
-        f"two robots had {name} at once, for {both_s:.2f} s" for name, both_s in summary["two_owners_s"].items() if both_s
+        f"two robots had {name} at once, for {both_s:.2f} s"
+        for name, both_s in summary["two_owners_s"].items()
+        if both_s
     ]
     reasons += [f"no robot ever had {name}" for name, it in summary["tasks"].items() if not it["owners"]]
     if summary["collisions"]:
