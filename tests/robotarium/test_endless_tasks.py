@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as some
 from pancakes_robotarium.circle import Circle, course_rad
-from pancakes_robotarium.patrol import Patrol
+from pancakes_robotarium.patrol import Patrol, aim_m
 
 from pancakes.devices import Pose, RobotPose, Twist
 from pancakes.packet import SYSTEM
@@ -100,6 +100,13 @@ def test_circle_follows_a_subject_and_waits_for_one_that_is_silent(fleet: Fleet)
 def test_circle_needs_one_thing_to_go_round(settings: dict[str, Any]) -> None:
     with pytest.raises(SettingsError, match="either centre_m or subject"):
         make_settings(Circle.Settings, settings)
+
+
+def test_patrol_gets_on_its_way_first() -> None:
+    assert aim_m((0.0, 0.5), (-1.0, 0.0), (1.0, 0.0)) == pytest.approx((0.3, 0.0))
+    assert aim_m((5.0, 0.5), (-1.0, 0.0), (1.0, 0.0)) == pytest.approx((1.0, 0.0)), "never beyond its end"
+    assert aim_m((-5.0, 0.5), (-1.0, 0.0), (1.0, 0.0)) == pytest.approx((-0.7, 0.0)), "nor before its beginning"
+    assert aim_m((0.0, 0.0), (1.0, 1.0), (1.0, 1.0)) == (1.0, 1.0)
 
 
 def test_patrol_goes_from_place_to_place(fleet: Fleet) -> None:

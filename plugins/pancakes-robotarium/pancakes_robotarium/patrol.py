@@ -4,16 +4,41 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from typing import Final
 
 from pancakes import CTRL, SYSTEM, Packet, Positive, Task, agent_of, on
 from pancakes.devices import Pose, Twist
 
-NEARER_M = 0.05
+NEARER_M: Final = 0.05
 """A robot that has come so much nearer to a waypoint gets on."""
 
 
+LOOK_M: Final = 0.3
+"""A robot beside its way heads for the place on it that is so far ahead."""
+
+
+def aim_m(
+    place: tuple[float, float], start: tuple[float, float], goal: tuple[float, float], look_m: float = LOOK_M
+) -> tuple[float, float]:
+    """Return where a robot should head to drive from one place to another on a straight way, wherever it is now.
+
+    Args:
+        place: where it is.
+        start: where the way begins.
+        goal: where it ends.
+        look_m: how far ahead on the way it aims.
+    """
+    length_m = math.dist(start, goal)
+    if length_m <= 0.0:
+        return goal
+    along_x, along_y = (goal[0] - start[0]) / length_m, (goal[1] - start[1]) / length_m
+    done_m = (place[0] - start[0]) * along_x + (place[1] - start[1]) * along_y
+    aim = min(max(done_m, 0.0) + look_m, length_m)
+    return start[0] + aim * along_x, start[1] + aim * along_y
+
+
 class Patrol(Task):
-    """Drive from waypoint to waypoint, in turn, over and over.
+    """Drive from waypoint to waypoint, in turn, over and over; a robot that takes it up first gets on the way.
 
     It has no eye for obstacles: a barrier is below it (docs/filters.md). A waypoint that it comes no nearer to is left
     out this time. Events: `waypoint` for each that is reached, `waypoint_skipped`, and `round_done` after the last one.
@@ -85,7 +110,8 @@ class Patrol(Task):
         if left_m <= it.near_m or self.now() > self._nearer_s + it.patience_s:
             self._next("waypoint" if left_m <= it.near_m else "waypoint_skipped")
             goal = it.waypoints_m[self.state.next]
-        turn_rad = math.remainder(math.atan2(goal[1] - pose.y_m, goal[0] - pose.x_m) - pose.theta_rad, math.tau)
+        aim = aim_m((pose.x_m, pose.y_m), it.waypoints_m[self.state.next - 1], goal)
+        turn_rad = math.remainder(math.atan2(aim[1] - pose.y_m, aim[0] - pose.x_m) - pose.theta_rad, math.tau)
         self.publish(CTRL, Twist(it.speed_mps * max(0.0, math.cos(turn_rad)), it.turn_per_s * turn_rad))
 
     def _next(self, kind: str) -> None:
