@@ -1,19 +1,19 @@
 """The tracker (`sim.tracker`): tells the fleet where bodies of the world are that do not tell it themselves.
 
-It stands for a camera over the arena: it sees what is no robot of the fleet, and robots whose agents have died. The barriers of robots keep clear of
-what it tells (docs/filters.md).
+It stands for a camera over the arena: it sees what is no robot of the fleet, and robots whose agents have died. The
+barriers of robots keep clear of what it tells (docs/filters.md).
 """
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
 
 import msgspec
 
 from pancakes.devices import RobotPose
 from pancakes.devices.driver import Pace
-from pancakes.packet import NEIGHBOURS, SYSTEM, Packet, agent_of
+from pancakes.events import Event
+from pancakes.packet import LOG, NEIGHBOURS, SYSTEM, Packet, agent_of
 from pancakes.settings import NotNegative, Positive
 from pancakes.sim.world_state import WorldState
 from pancakes.task import Task, on
@@ -44,31 +44,35 @@ class Tracker(Task):
         Attributes:
             bodies: what each of them is like, by its name in the world: `mover = { radius_m = 0.2, max_mps = 0.5 }`.
             tell_hz: how often.
-            silent_mission_s: it tells of a body only if that body's own agent has not said where it is for so long, as
-                that of a robot that has died; 0: always.
+            only_unlinked: whether it tells only of bodies whose agents are not linked with this one, such as robots
+                that have died; else of all.
         """
 
         bodies: dict[str, Tracked] = field(default_factory=dict)
         tell_hz: Positive = 10.0
-        silent_mission_s: NotNegative = 0.0
+        only_unlinked: bool = False
 
     settings: Settings
 
     def on_start(self) -> None:
         self._missing_told = False
-        self._heard_s: dict[str, float] = {}  # when each body's own agent said last where it is
+        self._linked: set[str] = set()
         self.on_settings()
 
     def on_settings(self) -> None:
         self._pace = Pace(self.settings.tell_hz)
         self._missing_told = False
 
-    @on(SYSTEM, RobotPose)
-    def told_itself(self, packet: Packet) -> None:
-        """Take note of a body whose own agent says where it is."""
-        name = packet.body.robot
-        if name in self.settings.bodies and agent_of(packet.source) == name:
-            self._heard_s[name] = self.now()
+    @on(LOG, Event)
+    def link_changed(self, packet: Packet) -> None:
+        """Take note of agents that are linked with this one."""
+        event = packet.body
+        if agent_of(packet.source) == self.agent and event.kind in ("peer_up", "peer_down"):
+            peer = str(event.fields.get("peer", ""))
+            if event.kind == "peer_up":
+                self._linked.add(peer)
+            else:
+                self._linked.discard(peer)
 
     @on(SYSTEM)
     def seen(self, state: WorldState) -> None:
@@ -76,9 +80,8 @@ class Tracker(Task):
         if not self._pace.due(state.time_s):
             return
         bodies = {body.name: body for body in state.bodies}
-        silent_s, now_s = self.settings.silent_mission_s, self.now()
         for name, it in self.settings.bodies.items():
-            if silent_s and now_s < self._heard_s.get(name, -math.inf) + silent_s:
+            if self.settings.only_unlinked and name in self._linked:
                 continue
             if (body := bodies.get(name)) is not None:
                 told = RobotPose(name, body.x_m, body.y_m, body.theta_rad, it.radius_m, it.max_mps)
