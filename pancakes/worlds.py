@@ -17,6 +17,7 @@ from pancakes.sim.bodies import (
     WorldSettings,
     sensed_motion,
 )
+from pancakes.sim.docks import Charged, Docks, DockSettings, check_docks
 from pancakes.sim.drivers import DifferentialDrive, SimulatedActuator, SimulatedPose, SimulatedSensor
 from pancakes.sim.rays import Fan
 from pancakes.sim.robot_models import (
@@ -39,8 +40,11 @@ __all__ = [
     "BatteryModel",
     "BatterySettings",
     "BodyState",
+    "Charged",
     "DifferentialDrive",
     "Disc",
+    "DockSettings",
+    "Docks",
     "DriveKinematics",
     "Fan",
     "IrCurve",
@@ -61,6 +65,7 @@ __all__ = [
     "Wheels",
     "WorldSettings",
     "WorldState",
+    "check_docks",
     "robot_model",
     "sensed_motion",
 ]

@@ -33,11 +33,15 @@ class _Waiting(msgspec.Struct):
         packet: the packet.
         take: takes it then.
         asked: the agents that were asked, the last one just now.
+        claim: what an agent says that has the task and does not act, while a guardian of that is asked; None: none is.
+        claimed_by: that agent.
     """
 
     packet: Packet
     take: Take
     asked: list[str]
+    claim: Fact | None = None
+    claimed_by: str = ""
 
 
 class Origins:
@@ -46,7 +50,9 @@ class Origins:
     The birthplace of a task knows, or the agent that has given it away, to which one it gave it, and so does each after
     that. If one of them has the task itself, no other gives it away, and no member has it taken over. An agent that is
     not linked, or does not answer, is no reason to refuse: a task outlives its birthplace. A guarded task is taken over
-    also from an owner that is linked here, if its members do not let it act.
+    also from an owner that is linked here, if its members do not let it act. And an owner that was away while its
+    guarded task was taken over may not have learned that: if it does not act, one of its guardians is asked whether the
+    source has the task now.
 
     Args:
         asker: the actor that asks; it hands the answers to `told`.
@@ -91,13 +97,37 @@ class Origins:
     def _heard(self, waiting: _Waiting, source: str, by: str, fact: Fact | None) -> None:
         owner = fact.at(by) if fact is not None else ""
         is_call = not hasattr(waiting.packet.body, "hold")
-        if fact is not None and owner == by and (fact.acts or not is_call):
-            text = f"{by} has {fact.task_id}, under the epoch {fact.epoch}: {source} has no right to it"
-            self._end(waiting, Refusal("forbidden", text))
+        if waiting.claim is not None:
+            taken_over = (
+                fact is not None
+                and fact.register.epoch > waiting.claim.register.epoch
+                and fact.register.owner.agent == source
+            )
+            self._end(waiting, None if taken_over else self._refusal(waiting, source))
+        elif fact is not None and owner == by and (fact.acts or not is_call):
+            waiting.claim, waiting.claimed_by = fact, by
+            guardian = "" if fact.acts else self._guardian(fact, source, by)
+            if guardian:
+                self._ask(waiting, guardian)
+            else:
+                self._end(waiting, self._refusal(waiting, source))
         elif owner not in ("", source, *waiting.asked) and len(waiting.asked) < MOST_ASKED and self._may_ask(owner):
             self._ask(waiting, owner)
         else:
             self._end(waiting)
+
+    def _guardian(self, fact: Fact, source: str, by: str) -> str:
+        """Return an agent that guards a task with its owner and can be asked; empty: there is none."""
+        members = sorted({member.agent for one in fact.register.sets for member in one} - {source, by})
+        return next((agent for agent in members if self._may_ask(agent)), "")
+
+    def _refusal(self, waiting: _Waiting, source: str) -> Refusal | None:
+        """Return why a packet is refused whose task another agent claims; None: none does."""
+        claim, by = waiting.claim, waiting.claimed_by
+        if claim is None:
+            return None
+        text = f"{by} has {claim.task_id}, under the epoch {claim.epoch}: {source} has no right to it"
+        return Refusal("forbidden", text)
 
     def _ask(self, waiting: _Waiting, agent: str) -> None:
         waiting.asked.append(agent)
@@ -106,9 +136,14 @@ class Origins:
             self._asker.publish(NETWORK, WhoHas((task_id,)), to=join(agent, REGISTRAR))
         except PancakesError as error:
             self._asker.log("debug", f"{agent} was not asked about {task_id}: {error}")
-            self._end(waiting)
+            self._end(waiting, self._refusal(waiting, agent_of(waiting.packet.source)))
             return
-        self._asker.after_host(ANSWER_S, lambda: self._end(waiting) if len(waiting.asked) == number else None)
+        self._asker.after_host(ANSWER_S, lambda: self._gave_up(waiting, number))
+
+    def _gave_up(self, waiting: _Waiting, number: int) -> None:
+        """End the wait for an answer, unless it came and another agent was asked."""
+        if len(waiting.asked) == number:
+            self._end(waiting, self._refusal(waiting, agent_of(waiting.packet.source)))
 
     def _end(self, waiting: _Waiting, refusal: Refusal | None = None) -> None:
         key = _key(waiting.packet)

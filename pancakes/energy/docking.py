@@ -171,8 +171,9 @@ class Docking:
 
     def _ask(self, now_s: float, pose: Pose, level: float, bid: DockBid) -> Step:
         if level >= self._settings.full:
-            self.phase = "done"
-            return Step("done", news="charged", why="the battery is full already")
+            self.phase, self._left = "leaves" if self._settings.home_m is not None else "done", (math.inf, math.inf)
+            self._set_out(now_s)
+            return Step(self.phase, news="charged", why="the battery is full already")
         if self._asks_since_s is None:
             self._asks_since_s = now_s
         docks = self._fresh_docks(now_s)
@@ -259,7 +260,10 @@ class Docking:
 
 
 def drive_to(pose: Pose, goal: tuple[float, float], speed_mps: float, turn_radps: float) -> Twist:
-    """Return the command that brings a robot nearer to a place. It turns on the spot until it looks there.
+    """Return the command that brings a robot nearer to a place.
+
+    The further it has to turn, the slower it drives. It never only turns for small angles, so that a barrier which
+    leads it round another robot is not turned back at once.
 
     Args:
         pose: where it is.
@@ -270,6 +274,5 @@ def drive_to(pose: Pose, goal: tuple[float, float], speed_mps: float, turn_radps
     dx_m, dy_m = goal[0] - pose.x_m, goal[1] - pose.y_m
     bearing_rad = math.remainder(math.atan2(dy_m, dx_m) - pose.theta_rad, math.tau)
     turn = min(max(2.0 * bearing_rad, -turn_radps), turn_radps)
-    if abs(bearing_rad) > math.pi / 8:
-        return Twist(0.0, turn)
-    return Twist(min(speed_mps, math.hypot(dx_m, dy_m)), turn)
+    ahead = max(math.cos(bearing_rad), 0.0)
+    return Twist(min(speed_mps, math.hypot(dx_m, dy_m)) * ahead * ahead, turn)

@@ -33,9 +33,15 @@ SILENT_S: Final = 60.0
 MOST_DOCKS: Final = 64
 """Of more docks, those that are silent are forgotten, and the newest do not count."""
 ASKED_S: Final = 10.0
-"""A task that charges an idle robot is started at most so often."""
+"""A task that charges an idle robot is started at most so often ..."""
+REFUSED_S: Final = 30.0
+"""... and so long after it was refused, as it is on a robot that is at work."""
 NEEDS_LEVEL: Final = 0.8
 """A robot with more is not charged for being idle, however short its reserve is."""
+URGENT: Final = 0.25
+"""Below this share of `idle_below_s` an idle robot also waits for a dock."""
+AWAY_M: Final = 0.3
+"""So far from its home an idle robot is in the way."""
 FULL: Final = 0.98
 """A battery above this level need not rise at a dock."""
 
@@ -165,8 +171,10 @@ class ReserveMeter(Task):
             least_rise: see `rise_s`; a share of the battery.
             again_s: a dock that did not charge is used again after this time.
             idle: a task that has the robot charged, started if no task of this robot holds the wheels and the reserve
-                is below `idle_below_s`; empty: none.
+                is below `idle_below_s` and a dock is free, or below a quarter of that; empty: none.
             idle_below_s: see `idle`.
+            idle_home_m: where an idle robot stands, (x, y); it also starts `idle` if it is further than 0.3 m from
+                there, such as after a restart. None: wherever it is.
         """
 
         level_per_m: Positive = field(kw_only=True)
@@ -178,6 +186,7 @@ class ReserveMeter(Task):
         again_s: Positive = 600.0
         idle: str = ""
         idle_below_s: Positive = 120.0
+        idle_home_m: tuple[float, float] | None = None
 
         def __post_init__(self) -> None:
             if self.detour < 1.0:
@@ -254,15 +263,30 @@ class ReserveMeter(Task):
         self._consumption.take(now_s, battery, self._place)
         self.state.lost, self.state.driven_m = self._consumption.lost, self._consumption.driven_m
         self._watch.take(now_s, battery.level, self._charged_by(now_s))
+        seconds = math.inf
         if self._consumption.per_s is not None:
-            self._publish(now_s, battery, self._consumption.per_s, self._place)
+            seconds = self._publish(now_s, battery, self._consumption.per_s, self._place)
+        it, home = self.settings, self.settings.idle_home_m
+        below_s = it.idle_below_s if self._finds_free_dock(now_s) else URGENT * it.idle_below_s
+        needs = seconds < below_s and battery.level < NEEDS_LEVEL
+        away = home is not None and math.dist(self._place, home) > AWAY_M
+        if it.idle and (needs or away) and now_s >= self._asks_from_s:
+            # Refused while another task holds the wheels: that one has a rule of its own.
+            self._asks_from_s = now_s + ASKED_S
+            self.publish(SYSCTRL, Start(it.idle))
 
     @on(SYSCTRL, Reply, addressed=True)
     def answered(self, reply: Reply) -> None:
-        """The task that charges an idle robot may not exist."""
+        """The task that charges an idle robot may not exist, or another task may hold the wheels."""
+        if reply.refusal is not None:
+            self._asks_from_s = self.now() + REFUSED_S
         if reply.refusal is not None and reply.refusal.code == "not_found" and not self._missing_told:
             self._missing_told = True
             self.log.warning(f"an idle robot is not charged: {reply.reason}. Correct `idle`")
+
+    def _finds_free_dock(self, now_s: float) -> bool:
+        """Return whether a dock is free now. A robot that waits for one holds its wheels, and so takes no task."""
+        return any(it.state == "free" and now_s < heard_s + SILENT_S for heard_s, it in self._heard.values())
 
     def _charged_by(self, now_s: float) -> str:
         """Return the dock that says it charges this robot now."""
@@ -271,7 +295,8 @@ class ReserveMeter(Task):
                 return address
         return ""
 
-    def _publish(self, now_s: float, battery: Battery, per_s: float, place: tuple[float, float]) -> None:
+    def _publish(self, now_s: float, battery: Battery, per_s: float, place: tuple[float, float]) -> float:
+        """Publish the reserve; return its seconds."""
         failed = self._watch.failed
         known = {it: at for it, at in self.state.docks.items() if it not in failed} or self.state.docks
         fresh = self._fresh(now_s)
@@ -293,8 +318,4 @@ class ReserveMeter(Task):
             self.log("warning" if trouble else "info", trouble or "docks and battery are in order again")
         charging = battery.charging
         self.publish(SYSTEM, Reserve(seconds, left, dock, way_m, per_s, per_m, charging, failed, trouble))
-        it = self.settings
-        if it.idle and seconds < it.idle_below_s and battery.level < NEEDS_LEVEL and now_s >= self._asks_from_s:
-            # Refused while another task holds the wheels: that one has a rule of its own.
-            self._asks_from_s = now_s + ASKED_S
-            self.publish(SYSCTRL, Start(it.idle))
+        return seconds

@@ -9,14 +9,14 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import Literal
 
-from pancakes.devices import DockState, Motion
+from pancakes.devices import Motion
 from pancakes.errors import PancakesError
 from pancakes.settings import NotNegative, Positive
 from pancakes.sim.battery import BatteryModel, BatterySettings
+from pancakes.sim.docks import DockSettings, check_docks
 from pancakes.sim.pedestrian import MoverSettings, Obstacle, Wayfinder
 from pancakes.sim.robot_models import (
     STILL,
@@ -310,23 +310,6 @@ class WorldSettings:
 
 
 @dataclass
-class DockSettings:
-    """A dock: contacts in the floor, which charge a robot that holds the dock and stands on them. It is not solid.
-
-    Attributes:
-        x_m: where it is.
-        y_m: where it is.
-        reach_m: a robot whose centre is at most this far away is charged.
-        power_w: the power that it gives. At 0 it lies: it says that it charges, and gives nothing.
-    """
-
-    x_m: float
-    y_m: float
-    reach_m: Positive = 0.1
-    power_w: NotNegative = 20.0
-
-
-@dataclass
 class ContentSettings(WorldSettings):
     """All that is in the simulated world of the core, by name.
 
@@ -340,12 +323,8 @@ class ContentSettings(WorldSettings):
 
     def __post_init__(self) -> None:
         WorldSettings.__post_init__(self)
-        half_x_m, half_y_m = 0.5 * self.arena.width_m, 0.5 * self.arena.height_m
-        for name, dock in self.docks.items():
-            if name in self.robots or name in self.sensors or name in self.movers:
-                raise ValueError(f"there are several bodies of the name {name!r}")
-            if abs(dock.x_m) > half_x_m or abs(dock.y_m) > half_y_m:
-                raise ValueError(f"{name} lies outside the arena, at ({dock.x_m}, {dock.y_m}) m")
+        bodies = (*self.robots, *self.sensors, *self.movers)
+        check_docks(self.docks, bodies, 0.5 * self.arena.width_m, 0.5 * self.arena.height_m)
 
 
 class Robot:
@@ -385,6 +364,11 @@ class Robot:
         self._turned_steps = 0
         self._step_s = 0.0
         self._rolled_m = 0.0
+
+    @property
+    def position(self) -> tuple[float, float]:
+        """Where it is."""
+        return self.disc.position
 
     def infrared_ring(self) -> IrRing:
         """Return its infrared ring.
@@ -489,50 +473,6 @@ class Robot:
         self._rolled_m = 0.0
         if self.battery.empty:
             self.hold()
-
-
-class ChargingDock:
-    """A dock of the simulated world. It charges the robot that holds it, while that stands at it.
-
-    Args:
-        settings: where it is, and what it gives.
-
-    Attributes:
-        settings: the same.
-        robot: the name of the robot that holds it; empty: it is free.
-    """
-
-    def __init__(self, settings: DockSettings) -> None:
-        self.settings = settings
-        self.robot = ""
-        self._good_until_s = 0.0
-        self._charging = False
-
-    def hold(self, robot: str, until_s: float) -> None:
-        """Hold it for a robot until this mission time, or until the next command."""
-        self.robot, self._good_until_s = robot, until_s
-
-    def release(self) -> None:
-        """Become free."""
-        self.robot, self._charging = "", False
-
-    def settle(self, now_s: float, elapsed_s: float, robots: Mapping[str, Robot]) -> None:
-        """Charge for the last `elapsed_s`, up to `now_s`; a robot whose right is over is released."""
-        if self.robot and self._good_until_s < now_s - elapsed_s:
-            self.release()
-        robot = robots.get(self.robot)
-        place = (self.settings.x_m, self.settings.y_m)
-        self._charging = robot is not None and math.dist(robot.disc.position, place) <= self.settings.reach_m
-        if robot is not None and self._charging:
-            robot.battery.charged(self.settings.power_w * elapsed_s)
-            robot.battery.charging = self.settings.power_w > 0.0
-
-    def state(self) -> DockState:
-        """Return what it says of itself."""
-        state: Literal["free", "taken", "charging"] = "free"
-        if self.robot:
-            state = "charging" if self._charging else "taken"
-        return DockState(state, self.settings.x_m, self.settings.y_m, self.robot)
 
 
 @dataclass

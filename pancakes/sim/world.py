@@ -21,7 +21,6 @@ from pancakes.settings import Positive
 from pancakes.sim.arena import Arena, Incident
 from pancakes.sim.battery import BatteryModel
 from pancakes.sim.bodies import (
-    ChargingDock,
     ContentSettings,
     Disc,
     NoiseSettings,
@@ -30,6 +29,7 @@ from pancakes.sim.bodies import (
     Walker,
     sensed_motion,
 )
+from pancakes.sim.docks import Docks
 from pancakes.sim.pedestrian import DECIDE_EVERY_S, Obstacle, Wayfinder
 from pancakes.sim.rays import Fan
 from pancakes.sim.robot_models import IrRing, LaserScanner, SonarRing, Wheels, robot_model
@@ -168,7 +168,7 @@ class Physics:
         self._sensors: dict[str, SensorNode] = {}
         self._standing: list[BodyState] = []  # of the sensors, which never move
         self._walkers: dict[str, Walker] = {}
-        self._docks = {name: ChargingDock(dock) for name, dock in settings.docks.items()}
+        self._docks = Docks(settings.docks)
         self._outside: dict[str, bool] = {}
         self._incidents: list[Incident] = []
         self._steps = 0
@@ -237,9 +237,7 @@ class Physics:
         if until % _LOOK_STEPS == 0:
             for robot in self._robots.values():
                 robot.settle(DECIDE_EVERY_S)
-                robot.battery.charging = False
-            for dock in self._docks.values():
-                dock.settle(self.time_s, DECIDE_EVERY_S, self._robots)
+            self._docks.settle(self.time_s, DECIDE_EVERY_S, self._robots)
             self._watch_bounds()
 
     def _look(self, walker: Walker, time_s: float) -> None:
@@ -288,9 +286,8 @@ class Physics:
         Raises:
             PancakesError: there is no such robot, nor such a dock.
         """
-        dock = self._docks.get(name)
-        if dock is not None:
-            dock.release()
+        if name in self._docks:
+            self._docks.release(name)
         else:
             self._robot(name).hold()
 
@@ -301,7 +298,7 @@ class Physics:
             PancakesError: there is no such dock, or no such robot.
         """
         self._robot(robot)
-        self._dock(name).hold(robot, self.time_s + ttl_s)
+        self._docks.hold(name, robot, self.time_s + ttl_s)
 
     def check(self, name: str, device_type: str, model: str = "") -> None:
         """Make sure that a body has a device of a type.
@@ -334,7 +331,7 @@ class Physics:
             case "motion":
                 self._sensor(name)
             case "dock":
-                self._dock(name)
+                self._docks.check(name)
             case _:
                 raise PancakesError(f"the simulated world has no device of the type {device_type!r}")
 
@@ -364,7 +361,7 @@ class Physics:
             case "motion":
                 reading = self._senses.motion(self._sensor(name), self._moving_discs(name))
             case "dock_state":
-                reading = self._dock(name).state()
+                reading = self._docks.state(name)
             case _:
                 raise PancakesError(f"the simulated world has no sensor of the type {device_type!r}")
         robot = self._robots.get(name)
@@ -407,9 +404,6 @@ class Physics:
 
     def _sensor(self, name: str) -> SensorNode:
         return _named(name, self._sensors, "sensor node")
-
-    def _dock(self, name: str) -> ChargingDock:
-        return _named(name, self._docks, "dock")
 
     def _moving_discs(self, sensor_name: str) -> list[Disc]:
         """Return what a motion sensor takes notice of, if it moves."""

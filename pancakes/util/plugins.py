@@ -58,6 +58,7 @@ BROUGHT_BY: Final = {
     "pancakes.transports": {"zenoh": "pancakes-zenoh"},
     "pancakes.demos": {
         "encirclement": "pancakes-encirclement",
+        "endless": "pancakes-robotarium",
         "energy": "pancakes-encirclement",
         "intruder": "pancakes-encirclement",
         "pioneer": "pancakes-encirclement",

@@ -22,7 +22,7 @@ from pancakes.task import Task
 from pancakes.util.plugins import Plugins
 
 ROOT = Path(__file__).resolve().parents[2]
-FILES = [it for it in sorted((ROOT / "configs").glob("*/*.toml")) if it.stem not in ("common", "fleet")] + [
+FILES = [it for it in sorted((ROOT / "configs").glob("*/*.toml")) if it.stem not in ("common", "fleet", "robot")] + [
     ROOT / "configs" / "single.toml"
 ]
 

@@ -52,7 +52,7 @@ def test_live_rescue_survives_the_return_of_the_killed_agent(tmp_path: Path) -> 
     summary = flight.summary
     assert strange == [], said
     lost_s = flight.told("agent_lost", "agent1")[0]["t_s"]
-    assert lost_s >= Plugins().get("pancakes.demos", "rescue").loss.at_s(2)
+    assert lost_s >= Plugins().get("pancakes.demos", "rescue").loss.times(2, 300.0)[0].at_s
     assert [holder["agent"] for holder in summary["holders"]] == ["agent1", "agent2"]
     assert summary["taken_by"] == "agent2" and summary["without_s"] > 0.0
     assert flight.told("agent_returned", "agent1")[0]["t_s"] < flight.told("ready", "agent1")[-1]["t_s"] < 200.0

@@ -14,7 +14,7 @@ from pancakes.tools.demo.launcher import find_configs, fresh, make_plan, run_vir
 from pancakes.tools.web.virtual_watch import VirtualWatch
 from pancakes.util.plugins import Plugins
 
-EARLY = Loss("agent1", earliest_s=30.0, latest_s=30.0, away_s=15.0)
+EARLY = Loss(("agent1",), earliest_s=30.0, latest_s=30.0, away_s=15.0)
 """By then agent 1 has come to the circle, and has found the sensor node to be its centre."""
 LENGTH_S = 55.0
 

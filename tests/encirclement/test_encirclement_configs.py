@@ -46,7 +46,7 @@ def test_two_guardians_are_left_where_the_robot_that_circles_is_lost() -> None:
     assert rule is not None and (rule.copies, rule.lease_s, guarded.migrate) == (3, 2.0, None)
     assert set(rule.guardians) == set(AGENTS) - {"world", "agent1"}
     assert configs["agent2"].tasks == {}, "it runs nothing until it goes on"
-    assert RESCUE.loss is not None and RESCUE.loss.agent == "agent1"
+    assert RESCUE.loss is not None and RESCUE.loss.agents == ("agent1",)
     assert (rule.lease_s + 1.5) * RESCUE.fastest <= RESCUE.loss.away_s, "it comes back after the take-over"
 
 

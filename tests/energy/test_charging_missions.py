@@ -11,7 +11,7 @@ from energy.docks import NEED, start_docks, states_of
 from pancakes.control import Create, Describe, Migrate, Start, Stop
 from pancakes.devices import Dock, DockState, Reserve
 from pancakes.energy.reserve import MOST_DOCKS, SILENT_S
-from pancakes.packet import CTRL, NEIGHBOURS, SYSTEM, Packet, agent_of
+from pancakes.packet import CTRL, NEIGHBOURS, SYSCTRL, SYSTEM, Packet, agent_of
 from pancakes.task import Task
 from pancakes.testing import Fleet
 from pancakes.tools.cli.verbs.agent_checks import check_reserve
@@ -230,6 +230,33 @@ def test_an_idle_robot_is_charged_and_one_that_works_is_left_to_its_rule(works: 
         assert bool(a.events("charged")) is not works
         assert a.running() == (["Reserve", "Work"] if works else ["Reserve"])
         assert a.lines("warning") == []
+
+
+def test_an_idle_robot_waits_for_a_free_dock_without_holding_its_wheels() -> None:
+    with Fleet(1) as fleet:
+        robots = {"a": {"x_m": 0.4, "y_m": 0.3, **need(level=0.6)}, "b": {"x_m": 0.0, "y_m": 0.0, **need(level=0.2)}}
+        idle = {"idle": "Charge", "idle_below_s": 300.0}
+        start_docks(fleet, ONE_DOCK, robots, charges=False, reserve=idle, settings={"home_m": (-0.4, 0.0)})
+        a, b = fleet.agents["a"], fleet.agents["b"]
+        a.publish(SYSCTRL, Stop("Reserve"))
+        b.wait_for_event("docked", timeout_s=30.0)
+        a.publish(SYSCTRL, Start("Reserve"))
+        fleet.run_for(4.0)
+        assert "Charge" not in a.running() and not a.events("asked", what="start", task="Charge")
+        b.wait_for_event("left_dock", timeout_s=100.0)
+        a.wait_for_event("docked", timeout_s=60.0)
+
+
+def test_an_idle_robot_goes_home_and_one_that_is_full_asks_for_no_dock() -> None:
+    with Fleet(1) as fleet:
+        robots = {"a": {"x_m": 0.4, "y_m": 0.3, **need(level=1.0, capacity_j=20000.0)}}
+        idle = {"idle": "Charge", "idle_below_s": 1.0, "idle_home_m": (-0.4, 0.0)}
+        start_docks(fleet, ONE_DOCK, robots, charges=False, reserve=idle, settings={"home_m": (-0.4, 0.0)})
+        a = fleet.agents["a"]
+        a.wait_for_event("left_dock", timeout_s=60.0)
+        assert a.events("dock_chosen") == [] and a.events("docked") == []
+        fleet.run_for(30.0)
+        assert a.running() == ["Reserve"] and len(a.events("left_dock")) == 1, "at home it stays"
 
 
 def test_a_missing_task_for_idle_robots_is_told_once() -> None:

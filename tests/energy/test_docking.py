@@ -191,6 +191,14 @@ def test_a_robot_that_is_full_asks_for_no_dock() -> None:
     assert robot.run(0.5).phase == "done"
 
 
+def test_a_robot_that_is_full_drives_home() -> None:
+    robot = Robot(home_m=(3.0, 0.0))
+    robot.level = 0.99
+    assert (robot.run(0.5).news, robot.run(0.5).goal, robot.run(0.5).dock) == ("charged", (3.0, 0.0), "")
+    robot.pose = Pose(3.0, 0.0, 0.0)
+    assert robot.run(0.5) == Step("done", news="left_dock")
+
+
 def test_numbers_that_are_none_do_not_count() -> None:
     robot = Robot()
     robot.docks[ONE] = dock(math.nan)

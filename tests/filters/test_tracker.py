@@ -8,6 +8,7 @@ from typing import Any
 from pancakes.devices import Pose, RobotPose, Twist
 from pancakes.simulation import Simulation
 from pancakes.task import Task, on
+from pancakes.testing import Fleet
 
 BUS = "tcp://world:7499"
 BARRIER = {"radius_m": 0.065, "max_mps": 0.3, "max_radps": 2.2}
@@ -78,3 +79,30 @@ def test_tracker_names_what_the_world_has_not():
     (line,) = simulation.agents["world"].lines("error")
     simulation.close()
     assert line == "the tracker is to tell of walker, which the world has not"
+
+
+def test_tracker_tells_only_of_robots_that_have_died_if_it_shall() -> None:
+    with Fleet(1) as fleet:
+        bodies = {name: {"radius_m": 0.07, "max_mps": 0.0} for name in ("robot1", "robot2")}
+        robots = {"robot1": {"x_m": -0.9, "y_m": 0.0}, "robot2": {"x_m": 0.9, "y_m": 0.0}}
+        tasks = {
+            "World": {"type": "sim.world", "settings": {"bus": BUS, "robots": robots}},
+            "Tracker": {"type": "sim.tracker", "settings": {"bodies": bodies, "only_unlinked": True}},
+        }
+        fleet.start("world", tasks=tasks, role="environment")
+        robot = fleet.start("robot1")
+        fleet.start("robot2")
+        fleet.connect()
+        fleet.run_for(1.0)
+        before = len(robot.probe.packets(RobotPose))
+        fleet.run_for(1.0)
+        assert len(robot.probe.packets(RobotPose)) == before, "all are there"
+        fleet.crash("robot2")
+        fleet.run_for(1.0)
+        told = robot.probe.packets(RobotPose)[before:]
+        assert len(told) >= 8 and {it.body.robot for it in told} == {"robot2"}
+        fleet.restart("robot2")
+        fleet.run_for(2.0)
+        before = len(robot.probe.packets(RobotPose))
+        fleet.run_for(1.0)
+        assert len(robot.probe.packets(RobotPose)) == before, "it is back"

@@ -7,7 +7,7 @@ import pytest
 from services.counting import Count
 from services.strangers import identity, say, tell
 
-from pancakes.control import Guarding
+from pancakes.control import Guarding, Migrate
 from pancakes.durable import quotas
 from pancakes.durable.messages import Accept, Bid, Call, Fact, Prepare, Promise, Refuse, Solicit
 from pancakes.durable.record import Record, TaskId
@@ -164,6 +164,22 @@ def test_task_is_not_handed_over_by_a_stranger_while_its_owner_has_no_permit(fle
     fleet.run_for(0.5)
     (answer,) = [it for it in answers if isinstance(it, Refuse | Bid)]
     assert isinstance(answer, Refuse) and "d has no right to it" in answer.refusal.text
+
+
+def test_task_that_was_taken_over_moves_on_although_its_birthplace_has_not_learned_it(fleet: Fleet) -> None:
+    """A was away so long that it guards the task no more: nobody tells it, and it still takes itself for the owner."""
+    fleet.crash("a")
+    assert fleet.run_until(lambda: len(where(fleet)) == 1, 20.0)
+    (owner,) = where(fleet)
+    fleet.run_for(80.0)
+    assert "a" not in {it.agent for one in record(fleet, owner).register.sets for it in one}
+    fleet.restart("a")
+    fleet.run_for(5.0)
+    assert where(fleet) == [owner] and record(fleet, "a").owned, "or this proves nothing"
+    other = next(name for name in "de" if name != owner)
+    assert fleet.agents[owner].ask(Migrate("Count", to=other)).ok
+    fleet.run_for(2.0)
+    assert where(fleet) == [other]
 
 
 def test_one_member_alone_has_no_task_taken_over(fleet: Fleet) -> None:

@@ -1,6 +1,6 @@
 """The launcher's own task: wait for all agents, begin the mission, record its events, and end it.
 
-`Losses` kills an agent at the time that the demo sets, and starts it again. `how_slow` reports whether the machine
+`Losses` kills agents at the times that the demo sets, and starts them again. `how_slow` reports whether the machine
 kept up with a mission in real time.
 """
 
@@ -21,7 +21,7 @@ from pancakes.events import Event, line_of, record_of
 from pancakes.packet import LOG, SYSCTRL, SYSTEM, Packet, agent_of
 from pancakes.supervision.task_core import TaskCore
 from pancakes.task import Task, Tick, every, on
-from pancakes.tools.demo.demo import Loss
+from pancakes.tools.demo.demo import Death
 
 BEHIND_S: Final = 0.25
 """The largest delay of the world or of a tick that is not reported, in mission seconds."""
@@ -124,11 +124,10 @@ class LossStep(msgspec.Struct, frozen=True):
 
 
 class Losses:
-    """Kill and restart the agent of a mission's loss at the right times. Use it in the thread that starts agents.
+    """Kill and restart the agents of a mission's loss at the right times. Use it in the thread that starts agents.
 
     Args:
-        loss: the loss; None: nothing happens.
-        seed: the run's seed.
+        deaths: who is killed when, and comes back when.
         now: the mission's clock.
         kill: kills an agent, by its name.
         start: starts it again on its disk.
@@ -137,8 +136,7 @@ class Losses:
 
     def __init__(
         self,
-        loss: Loss | None,
-        seed: int,
+        deaths: Iterable[Death],
         now: Callable[[], float],
         kill: Callable[[str], None],
         start: Callable[[str], None],
@@ -147,10 +145,9 @@ class Losses:
         self._now = now
         self._told = told
         self._steps: list[tuple[LossStep, Callable[[str], None]]] = []
-        if loss is not None:
-            at_s = loss.at_s(seed)
-            self._steps.append((LossStep(loss.agent, "agent_lost", at_s), kill))
-            self._steps.append((LossStep(loss.agent, "agent_returned", at_s + loss.away_s), start))
+        for death in deaths:
+            self._steps.append((LossStep(death.agent, "agent_lost", death.at_s), kill))
+            self._steps.append((LossStep(death.agent, "agent_returned", death.back_s), start))
 
     def wait_s(self) -> float:
         """Return the time until the next step, in mission seconds; infinity if there is none."""

@@ -7,7 +7,7 @@ import random
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,25 +33,60 @@ class Run:
 
 @dataclass(frozen=True, slots=True)
 class Loss:
-    """An agent that is killed during a mission, and later started again on its disk.
+    """Agents that are killed during a mission, one at a time, and later started again on their disks.
 
-    The time of its end is drawn from the run's seed.
+    Which agent it is, and when, is drawn from the run's seed.
 
     Attributes:
-        agent: the agent; not the world.
+        agents: the agents of which one is killed; not the world.
         earliest_s: the earliest time of its end, in mission seconds.
         latest_s: the latest time of its end, in mission seconds.
         away_s: the time from its end to its restart, in mission seconds.
+        every_s: this is repeated in each such time of the mission. What is left of the mission at its end, and a
+            mission that is shorter, have it in proportion. Infinity: it happens once, and never in proportion.
     """
 
-    agent: str
+    agents: tuple[str, ...]
     earliest_s: float
     latest_s: float
     away_s: float
+    every_s: float = math.inf
 
-    def at_s(self, seed: int) -> float:
-        """Return when the agent is killed in the run with this seed."""
-        return random.Random(f"loss/{seed}").uniform(self.earliest_s, self.latest_s)
+    def __post_init__(self) -> None:
+        if not self.agents:
+            raise ValueError("a loss needs an agent")
+        if not 0.0 <= self.earliest_s <= self.latest_s:
+            raise ValueError(f"a loss cannot be between {self.earliest_s:g} and {self.latest_s:g} s")
+        if self.latest_s + self.away_s > self.every_s:
+            raise ValueError("a lost agent must be back before the next one is lost: every_s is too short")
+
+    def times(self, seed: int, duration_s: float) -> list[Death]:
+        """Return who is killed when, and when it comes back, in the run with this seed; in the order of time."""
+        draw = random.Random(f"loss/{seed}")
+        if math.isinf(self.every_s):
+            at_s = draw.uniform(self.earliest_s, self.latest_s)
+            return [Death(draw.choice(self.agents), at_s, at_s + self.away_s)]
+        found = []
+        for number in range(math.ceil(duration_s / self.every_s)):
+            begin_s = number * self.every_s
+            share = min(1.0, (duration_s - begin_s) / self.every_s)
+            at_s = begin_s + share * draw.uniform(self.earliest_s, self.latest_s)
+            found.append(Death(draw.choice(self.agents), at_s, at_s + share * self.away_s))
+        return found
+
+
+class Death(NamedTuple):
+    """An agent that is killed in a mission.
+
+    Attributes:
+        agent: the agent.
+        at_s: when it is killed, in mission seconds.
+        back_s: when it is started again.
+    """
+
+    agent: str
+    at_s: float
+    back_s: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +108,7 @@ class Demo:
         arrange: takes the folder of a run, and whether it is live; returns the changes of each agent's file, as for
             `--set`, by agent. None: no changes.
         virtual: whether it runs in virtual time by default.
-        loss: the agent that is killed during the mission. If None, an agent that ends ends the mission.
+        loss: the agents that are killed during the mission. If None, an agent that ends ends the mission.
         fastest: the most mission seconds per second in a live run, if something in it takes time on the host's clock,
             such as leases.
         live_only: why it cannot run in virtual time, as a clause; empty if it can.

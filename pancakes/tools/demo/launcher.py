@@ -29,7 +29,7 @@ from pancakes.mesh.memory_network import Quality
 from pancakes.recording.virtual_recorder import VirtualRecorder
 from pancakes.simulation.fleet import Fleet
 from pancakes.tools.demo.conductor import Conductor, EndMission, Losses, LossStep, Mission, late_ones
-from pancakes.tools.demo.demo import Demo, Run
+from pancakes.tools.demo.demo import Death, Demo, Run
 from pancakes.tools.launch.clear_state import check_alone, empty_state
 from pancakes.tools.launch.fleet_file import whose
 from pancakes.tools.launch.ports import Claim, claim_ports, within_machine
@@ -67,6 +67,11 @@ class DemoPlan:
     files: Mapping[str, Path]
     configs: Mapping[str, Config]
     claim: Claim | None
+
+    def deaths(self) -> list[Death]:
+        """Return which agents are killed when, and when they come back."""
+        loss = self.demo.loss
+        return loss.times(self.seed, self.duration_s) if loss is not None else []
 
     def peers(self, within_machine: bool) -> tuple[str, ...]:
         """Return an address of each agent: the one within its machine, or its last one."""
@@ -314,9 +319,7 @@ def run_live(plan: DemoPlan, mission: Mission, interrupted: threading.Event) -> 
         launcher = Launcher(plan, mission)
         launcher.start()
         now = launcher.kernel.mission.now
-        losses = Losses(
-            plan.demo.loss, plan.seed, now, processes.kill, processes.start_one, partial(tell_conductor, launcher)
-        )
+        losses = Losses(plan.deaths(), now, processes.kill, processes.start_one, partial(tell_conductor, launcher))
         running_s = None
         while mission.phase != "over" and not interrupted.wait(LOOK_S):
             losses.look()
@@ -436,9 +439,8 @@ def run_virtual(
         if onlooker is not None:
             onlooker.begin(fleet)
         launcher = fleet.add(LAUNCHER, lambda virtual: Launcher(plan, mission, virtual)).agent
-        losses = Losses(
-            plan.demo.loss, plan.seed, launcher.kernel.mission.now, kill, start_again, partial(tell_conductor, launcher)
-        )
+        now = launcher.kernel.mission.now
+        losses = Losses(plan.deaths(), now, kill, start_again, partial(tell_conductor, launcher))
         if not _run_while(fleet, lambda: mission.phase == "connecting", READY_S, interrupted, onlooker, losses):
             raise _cannot_begin(mission)
         running_s = HOST.now()

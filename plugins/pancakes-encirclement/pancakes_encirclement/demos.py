@@ -90,7 +90,7 @@ RESCUE: Final = Demo(
     draw=_draw_rescue,
     circled="sensor",
     radius_m=0.55,
-    loss=Loss("agent1", earliest_s=70.0, latest_s=110.0, away_s=60.0),
+    loss=Loss(("agent1",), earliest_s=70.0, latest_s=110.0, away_s=60.0),
     fastest=12.0,
 )
 """A task that outlives its robot."""

@@ -65,7 +65,7 @@ def read_scenario(configs: Mapping[str, Table]) -> Scenario:
     Raises:
         PancakesError: no agent simulates a world, or none has a `ScanTarget`.
     """
-    world = _find_world(configs)
+    world = find_world(configs)
     first, scan, task = _find_scan(configs)
     return Scenario(
         first=first,
@@ -82,7 +82,7 @@ def read_scenario(configs: Mapping[str, Table]) -> Scenario:
     )
 
 
-def _find_world(configs: Mapping[str, Table]) -> WorldSettings:
+def find_world(configs: Mapping[str, Table]) -> WorldSettings:
     """Return the contents of the world: the settings of the task whose settings are such contents.
 
     Any world will do, of whatever distribution.

@@ -163,6 +163,8 @@ class Laboratory:
             units_per_mps=1e9,
         )
         self.twists = [Twist(0.0, 0.0)] * len(places)
+        self._asked: list[Twist] = []
+        self._velocities = numpy.zeros((2, len(places)))
         self.places = list(places)
         self.unseen: frozenset[int] = frozenset()
         self._look()
@@ -179,9 +181,11 @@ class Laboratory:
         """
         if len(twists) != len(self._ids):
             raise PancakesError(f"{len(self._ids)} robots got {len(twists)} commands: each needs one at each step")
-        self.twists = [self.drive.twist(self.drive.wheels(twist)) for twist in twists]
-        velocities = numpy.array([[it.v_mps for it in self.twists], [it.omega_radps for it in self.twists]])
-        self._robots.set_velocities(numpy.array(self._ids), velocities)
+        if list(twists) != self._asked:  # at most steps all go on as before
+            self._asked = list(twists)
+            self.twists = [self.drive.twist(self.drive.wheels(twist)) for twist in twists]
+            self._velocities = numpy.array([[it.v_mps for it in self.twists], [it.omega_radps for it in self.twists]])
+        self._robots.set_velocities(numpy.array(self._ids), self._velocities.copy())
         with self._own_draws() if self._measures else nullcontext():  # without sensors nothing is drawn
             self._robots.step()
         self._steps += 1

@@ -10,7 +10,7 @@ from typing import Annotated, Final
 from msgspec import Meta
 
 from pancakes import FilePath, NotNegative
-from pancakes.worlds import ArenaSettings, RobotSettings, WorldSettings, robot_model
+from pancakes.worlds import ArenaSettings, DockSettings, RobotSettings, WorldSettings, check_docks, robot_model
 from pancakes_robotarium.gternal import DIAMETER_M, MAX_MPS
 
 WIDTH_M: Final = 3.2
@@ -81,6 +81,7 @@ class RobotariumSettings(WorldSettings):
         robots: the robots that agents drive.
         sensors: sensor nodes, which the simulator does not know.
         movers: the robots that belong to no agent.
+        docks: docks, which the simulator does not know; they charge the robots' batteries.
         bus: address at which simulated devices reach it.
         state_steps: it publishes its state once in this many steps of 33 ms.
         range_noise: standard deviation of what a range sensor measures, as a share of it.
@@ -90,6 +91,7 @@ class RobotariumSettings(WorldSettings):
     arena: ArenaSettings = field(default_factory=lambda: ArenaSettings(WIDTH_M, HEIGHT_M))
     robots: dict[str, RobotariumRobot] = field(default_factory=dict)  # type: ignore[assignment]
     movers: dict[str, Guest] = field(default_factory=dict)  # type: ignore[assignment]
+    docks: dict[str, DockSettings] = field(default_factory=dict)
     bus: str = "tcp://127.0.0.1:7499"
     state_steps: Annotated[int, Meta(ge=1)] = 2
     range_noise: NotNegative = 0.03
@@ -99,6 +101,8 @@ class RobotariumSettings(WorldSettings):
         if self.arena.width_m > WIDTH_M or self.arena.height_m > HEIGHT_M:
             raise ValueError(f"the floor of the Robotarium is {WIDTH_M} x {HEIGHT_M} m: arena may not be larger")
         super().__post_init__()
+        bodies = (*self.robots, *self.sensors, *self.movers)
+        check_docks(self.docks, bodies, 0.5 * self.arena.width_m, 0.5 * self.arena.height_m)
         count = len(self.robots) + len(self.movers)
         if not 1 <= count <= MOST_ROBOTS:
             raise ValueError(f"the Robotarium has 1 to {MOST_ROBOTS} robots, and here are {count}")

@@ -6,18 +6,18 @@ import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from itertools import combinations
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
 import msgspec
 
-from pancakes import PancakesError, Tick, every
-from pancakes.devices import Battery, Infrared, Motion, Pose, Twist
+from pancakes import PancakesError, Tick, agent_of, every
+from pancakes.devices import Battery, Dock, Infrared, Motion, Pose, Twist
 from pancakes.worlds import (
     BatteryModel,
     BodyState,
     Disc,
+    Docks,
     Fan,
     SimulatedWorld,
     Wheels,
@@ -52,6 +52,7 @@ class Wheeled:
         twist: its newest command, within the limits of its own wheels.
         driven_by: the task that gave it; empty in safe hold.
         battery: its battery; None: nobody needs one.
+        position: where it is.
     """
 
     def __init__(self, name: str, settings: RobotariumRobot | Guest) -> None:
@@ -63,6 +64,7 @@ class Wheeled:
         self.battery: BatteryModel | None = None
         if isinstance(settings, RobotariumRobot):
             self.battery = BatteryModel(settings.battery, self.model.full_v, self.model.empty_v)
+        self.position = (0.0, 0.0)
         self._until_s = math.inf
         self._goal = 0
 
@@ -137,6 +139,7 @@ class World(SimulatedWorld):
         self._discs = {
             name: Disc(name, robot.model.radius_m, 0.0, 0.0, 0.0, math.inf) for name, robot in self._robots.items()
         }
+        self._docks = Docks(settings.docks, "the Robotarium")
         self._posts = {
             name: Disc(name, one.radius_m, one.x_m, one.y_m, one.theta_rad, math.inf)
             for name, one in settings.sensors.items()
@@ -204,6 +207,7 @@ class World(SimulatedWorld):
         for robot, done in zip(robots, laboratory.twists, strict=True):
             robot.rolled(done, laboratory.step_s)
         self._place_discs(laboratory)
+        self._docks.settle(self._steps * laboratory.step_s, laboratory.step_s, self._robots)
         self._watch(laboratory)
         if self._steps % self.settings.state_steps == 0:
             self.publish_truth()
@@ -214,20 +218,24 @@ class World(SimulatedWorld):
             for name in sorted(lost - self._lost):
                 self.log("warning", f"the Robotarium does not see {name}: it has no pose until it does")
             self._lost = lost
-        for disc, place in zip(self._discs.values(), laboratory.places, strict=True):
+        for robot, disc, place in zip(self._robots.values(), self._discs.values(), laboratory.places, strict=True):
+            robot.position = (place.x_m, place.y_m)
             disc.moved(place.x_m, place.y_m, place.theta_rad, 0.0, 0.0, 0.0)
 
     def _watch(self, laboratory: Laboratory) -> None:
         """Report what begins: two bodies that touch, and a robot of which a part is outside the arena."""
         arena = self.settings.arena
-        discs = list(self._discs.values())
+        half_x_m, half_y_m = 0.5 * arena.width_m, 0.5 * arena.height_m
         found: set[tuple[str, ...]] = set()
-        for one, other in combinations((*discs, *self._posts.values()), 2):
-            if one.name not in self._posts and math.dist(one.position, other.position) <= one.radius_m + other.radius_m:
-                found.add((one.name, other.name))
-        for disc in discs:
-            if max(abs(disc.x_m) - 0.5 * arena.width_m, abs(disc.y_m) - 0.5 * arena.height_m) + disc.radius_m > 0.0:
-                found.add((disc.name,))
+        rest = [(it.x_m, it.y_m, it.radius_m, it.name) for it in (*self._discs.values(), *self._posts.values())]
+        for place in range(len(self._discs)):  # plain numbers: this is done in each step, for each pair
+            x_m, y_m, radius_m, name = rest[place]
+            if abs(x_m) + radius_m > half_x_m or abs(y_m) + radius_m > half_y_m:
+                found.add((name,))
+            for other_x_m, other_y_m, other_m, other in rest[place + 1 :]:
+                apart_x_m, apart_y_m, touch_m = other_x_m - x_m, other_y_m - y_m, radius_m + other_m
+                if apart_x_m * apart_x_m + apart_y_m * apart_y_m <= touch_m * touch_m:
+                    found.add((name, other))
         for names in sorted(found - self._ongoing):
             kind = "collision" if len(names) > 1 else "out_of_bounds"
             self.incident(kind, self._steps * laboratory.step_s, names, *self._discs[names[0]].position)
@@ -271,6 +279,8 @@ class World(SimulatedWorld):
                 _named(body, self.settings.sensors, "sensor node")
             case "pose":
                 _named(body, {**self._discs, **self._posts}, "body")
+            case "dock" | "dock_state":
+                self._docks.check(body)
             case _:
                 raise PancakesError(f"nothing in the Robotarium has a device of the type {device_type!r}")
 
@@ -286,6 +296,8 @@ class World(SimulatedWorld):
                 reading = self._measured_battery(self._robot(body))
             case "ir":
                 reading = self._ranges(body)
+            case "dock_state":
+                reading = self._docks.state(body)
             case _:
                 reading = self._motion(body)
         robot = self._robots.get(body)
@@ -302,8 +314,18 @@ class World(SimulatedWorld):
         if robot.battery is not None and not robot.battery.empty:
             robot.drive(wheels, self.now() + ttl_s, source)
 
+    def act(self, body: str, device_type: str, command: Any, ttl_s: float, source: str) -> None:
+        if not isinstance(command, Dock):
+            super().act(body, device_type, command, ttl_s, source)
+        # The robot is the agent that commands the dock: it cannot name another.
+        self._robot(agent_of(source))
+        self._docks.hold(body, agent_of(source), self.now() + ttl_s)
+
     def hold(self, body: str, device: str) -> None:
-        self._robot(body).hold()
+        if body in self._docks:
+            self._docks.release(body)
+        else:
+            self._robot(body).hold()
 
     def radio(self, body: str, packets_sent: int | None, listening: bool | None) -> None:
         robot = self._robots.get(body)
@@ -321,7 +343,7 @@ class World(SimulatedWorld):
     def _measured_battery(self, robot: Wheeled) -> Battery:
         assert robot.battery is not None and isinstance(robot.settings, RobotariumRobot)
         voltage_v = robot.battery.voltage_v + robot.settings.battery.noise_v * self.random.gauss(0.0, 1.0)
-        return Battery(voltage_v, robot.battery.level_at(voltage_v))
+        return Battery(voltage_v, robot.battery.level_at(voltage_v), robot.battery.charging)
 
     def _ranges(self, name: str) -> Infrared:
         """Measure with the ring of a robot: by the simulator if it has range sensors, else by geometry."""
