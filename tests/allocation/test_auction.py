@@ -159,7 +159,12 @@ def counted(monkeypatch: pytest.MonkeyPatch, name: str) -> list[Any]:
     """Returns a list that gets longer with each call of a function of `completion`."""
     calls: list[Any] = []
     whole = getattr(completion, name)
-    monkeypatch.setattr(completion, name, lambda *arguments: calls.append(arguments) or whole(*arguments))
+
+    def called(*arguments: Any) -> Any:
+        calls.append(arguments)
+        return whole(*arguments)
+
+    monkeypatch.setattr(completion, name, called)
     return calls
 
 
@@ -183,7 +188,12 @@ def test_of_many_migrations_that_gain_nothing_only_some_are_called_off(monkeypat
     """Each takes a timetable of all tasks."""
     market, there = most_lots(**dict.fromkeys(NAMES, Lot(9.0, takes_s=1.0)))
     tried: list[Any] = []
-    monkeypatch.setattr(Market, "faults", lambda *_: tried.append(1) or [])
+
+    def faults(*arguments: Any) -> list[str]:
+        tried.append(arguments)
+        return []
+
+    monkeypatch.setattr(Market, "faults", faults)
     monkeypatch.setattr(Market, "value", lambda _, bundles: float(bundles is not there))
     calmed(market, {"a": there["b"], "b": there["a"]}, there)
     assert 1 <= len(tried) <= 10
