@@ -573,9 +573,11 @@ class Drive(msgspec.Struct, frozen=True):
 
     A drive lasts from the packet with `begin` to `EndDrive`, or until no packet came for 5 s of host time. Meanwhile a
     task `device/drive-DEVICE` has the actuator. The task that held it before is paused, commands of all others are
-    refused, and no task starts that requires it. The `result` is a mapping: `device`, `driver` (who drives, an
-    address), `stop_after_s` (within this host time the next packet must come), `paused` (the address of the task that
-    waits; empty: none does), and `filters` (what the actuator's filters do now, as in `Describe`).
+    refused, and no task starts that requires it. The first packet after a silence of `drive_stop_s` is answered, not
+    obeyed: it may have waited for a link. The `result` is a mapping: `device`, `driver` (who drives, an address),
+    `late` (whether this packet was such a one), `stop_after_s` (within this host time the next packet must come),
+    `paused` (the address of the task that waits; empty: none does), and `filters` (what the actuator's filters do now,
+    as in `Describe`).
 
     Attributes:
         target: the actuator, whose commands are `Twist`s.

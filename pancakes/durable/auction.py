@@ -111,7 +111,7 @@ class Round:
         self._ignored: dict[str, str] = {}
         self._dropped: dict[str, int] = {}
         self._answers: set[str] = set()  # the agents that want an answer
-        self._beyond: dict[str, frozenset[str]] = {}  # the agents that a peer hears of, and this one does not
+        self._hears: dict[str, frozenset[str]] = {}  # the agents that a peer hears of, by its newest row
         self._said_s: dict[str, float] = {}
         row = Row(id.number, id.starter, dry_run, 1, at_most, crowding, dict(lots))
         self._rows = {me: row}
@@ -168,10 +168,10 @@ class Round:
             self._answers.add(peer)
         known = self._rows.get(peer)
         heard = row.heard.get(self.me, 0)  # which rows it has of others is not kept
-        if len(row.heard) <= MOST_AGENTS:
-            self._beyond[peer] = frozenset(row.heard.keys() - self._rows.keys())
+        hears = frozenset(row.heard) if len(row.heard) <= MOST_AGENTS else frozenset()
         if known is not None and row.seq <= known.seq:
             if row.seq == known.seq:  # said again: it may have heard more
+                self._hears[peer] |= hears
                 self._rows[peer] = replace(known, heard={self.me: max(heard, known.heard.get(self.me, 0))})
             return
         if fault := fault_of_row(row):
@@ -180,6 +180,7 @@ class Round:
             row = Row(row.number, row.starter, seq=row.seq)
         elif peer in self._ignored:
             del self._ignored[peer]
+        self._hears[peer] = hears
         self._rows[peer] = replace(row, heard={self.me: heard})
         if self.over:
             return
@@ -222,9 +223,10 @@ class Round:
     def _has_mine(self, peer: str) -> bool:
         return self._rows[peer].heard.get(self.me, 0) >= self.row.seq
 
-    def _is_part(self) -> bool:
-        """Return whether a peer hears of agents that this one does not hear of, as it is not linked to them."""
-        return any(names - self._rows.keys() for peer, names in self._beyond.items() if peer in self._rows)
+    def _all_hear_all(self) -> bool:
+        """Return whether all that take part hear of the same agents: those that are not linked do not."""
+        heard = (self._hears[peer] | {peer} for peer in self._others() if peer not in self._ignored)
+        return all(names == self._rows.keys() for names in heard)
 
     def _others(self) -> list[str]:
         return [peer for peer in self._rows if peer != self.me]
@@ -357,7 +359,7 @@ class Round:
                 for agent, row in self._rows.items()
             },
         )
-        if self.agreed and not self._is_part():  # else others know other rows, and would come to something else
+        if self.agreed and self._all_hear_all():  # else others know other rows, and would come to something else
             won = completed(market, won)
         return calmed(market, won, self._present())
 

@@ -17,6 +17,8 @@ Bundles = dict[str, list[str]]
 
 WORK: Final = 2_000
 """So much is tried: the number of timetables times that of the lots. It bounds the time that an agent thinks."""
+CALMING: Final = 2_000_000
+"""So much is done to avoid migrations: the number of lots that may stay times the steps of a timetable."""
 
 
 def allowed(market: Market, won: Mapping[str, list[str]]) -> Bundles:
@@ -25,14 +27,13 @@ def allowed(market: Market, won: Mapping[str, list[str]]) -> Bundles:
     while True:
         ends = timetable(market, found)
         has = {key for keys in found.values() for key in keys}
-        gone = {
-            key
-            for key in has
-            if not in_time(market.lots[key].lot, ends.get(key)) or any(it not in has for it in market.mates[key])
-        }
-        if not gone:
+        left = {key for key in has if in_time(market.lots[key].lot, ends.get(key))}
+        # All that needs a lot goes with it before the next timetable: in a long chain there would be one for each link.
+        while alone := {key for key in left if any(it not in left for it in (*market.mates[key], *market.before[key]))}:
+            left -= alone
+        if left == has:
             return found
-        found = {agent: [key for key in keys if key not in gone] for agent, keys in found.items()}
+        found = {agent: [key for key in keys if key in left] for agent, keys in found.items()}
 
 
 def completed(market: Market, won: Bundles) -> Bundles:
@@ -48,8 +49,12 @@ def completed(market: Market, won: Bundles) -> Bundles:
         has = {key for keys in won.values() for key in keys}
         missing = [key for key in market.lots if key not in has and market.is_coupled(key)]
         for key in sorted(missing, key=lambda it: (-market.lots[it].lot.value, it)):
-            group = _needed(market, key, has)
-            found = search.with_group(won, group) if all(_is_possible(market, it) for it in group) else None
+            if search.left <= 0:
+                return won
+            group = _needed(market, key, has, search.left)
+            if len(group) > search.left or not all(_is_possible(market, it) for it in group):
+                continue
+            found = search.with_group(won, group)
             if found is not None:
                 won, better = found, True
                 break
@@ -69,10 +74,15 @@ def calmed(market: Market, won: Bundles, present: Bundles) -> Bundles:
     """
     if market.value(present) >= market.value(won) and not market.faults(present):
         return present
+    is_coupled = market.timed or any(market.mates.values())
+    tries = CALMING // len(market.lots) ** (2 if is_coupled else 1) if market.lots else 0
     for key, offered in market.lots.items():
         agent = next((it for it, keys in won.items() if key in keys), offered.owner)
         if agent == offered.owner:
             continue
+        if tries <= 0:
+            break
+        tries -= 1
         back = {it: [other for other in keys if other != key] for it, keys in won.items()}
         back[offered.owner] = [*back[offered.owner], key]
         if market.value(back) >= market.value(won) and not market.faults(back):
@@ -85,13 +95,16 @@ def _is_possible(market: Market, key: str) -> bool:
     return in_time(lot, lot.takes_s) and any(market.bid(agent, key, 0) is not None for agent in market.rows)
 
 
-def _needed(market: Market, key: str, has: set[str]) -> list[str]:
-    """Return the lots that have to be added with one: its mates and what comes before, first what comes first."""
+def _needed(market: Market, key: str, has: set[str], most: int) -> list[str]:
+    """Return the lots that have to be added with one: its mates and what comes before, first what comes first.
+
+    If there are more than `most`, not all of them are returned, but more than `most`.
+    """
     found: list[str] = []
     seen: set[str] = set()
 
     def add(one: str) -> None:
-        if one in seen or one in has:
+        if one in seen or one in has or len(seen) > most:
             return
         seen.add(one)
         for before in market.before[one]:
@@ -109,7 +122,7 @@ class _Search:
 
     def __init__(self, market: Market) -> None:
         self._market = market
-        self._left = WORK // max(1, len(market.lots))
+        self.left = WORK // max(1, len(market.lots))
 
     def with_group(self, won: Bundles, group: list[str]) -> Bundles | None:
         """Return a better allocation that has a group of lots too; None: none is found."""
@@ -120,9 +133,9 @@ class _Search:
             return found
         best: Bundles | None = None
         for victim in [key for keys in won.values() for key in keys]:
-            if self._left <= 0:
+            if self.left <= 0:
                 break
-            self._left -= 1
+            self.left -= 1
             without = allowed(market, {it: [key for key in keys if key != victim] for it, keys in won.items()})
             found = self._placed(without, group)
             if found is None:
@@ -145,9 +158,9 @@ class _Search:
             if bid is not None and len(keys) < market.rows[agent].at_most and not set(keys) & set(market.mates[key]):
                 bids.append((-bid, agent))
         for _, agent in sorted(bids):
-            if self._left <= 0:
+            if self.left <= 0:
                 return None
-            self._left -= 1
+            self.left -= 1
             more = {**won, agent: [*won[agent], key]}
             ends = timetable(market, more)
             if all(in_time(market.lots[it].lot, ends.get(it)) for keys in more.values() for it in keys):

@@ -175,21 +175,28 @@ class HandDrive(TaskCore, Task):
             raise ControlRefusedError(fault, "conflict")
         if body.dry_run:
             return self._result(request.by)
-        before = self._driver
-        self._driver = Driver(body.id, request.by, self.kernel.host.now(), request.cause)
-        if before is None or before.id != body.id:
+        before, now_s, stop_s = self._driver, self.kernel.host.now(), self._device.stop_after_s
+        self._driver = Driver(body.id, request.by, now_s, request.cause)
+        goes_on = before is not None and before.id == body.id
+        if not goes_on:
             self._begin(self._driver, before)
-        self._command, self._moving = Twist(body.v_mps, body.omega_radps), True
-        self._look_in(self._device.stop_after_s)
+        # After a silence it may have waited for the link: the person may have let the key go since.
+        late = goes_on and before is not None and now_s - before.heard_s >= stop_s - ROUNDING_S
+        if not late:
+            self._command, self._moving = Twist(body.v_mps, body.omega_radps), True
+        elif self._moving:
+            self._hold(f"no command of {self._driver.name} for {stop_s:g} s")
+        self._look_in(stop_s)
         self._repeat()
-        return self._result(request.by)
+        return self._result(request.by, late)
 
-    def _result(self, by: str) -> dict[str, Any]:
+    def _result(self, by: str, late: bool = False) -> dict[str, Any]:
         registry, device = self.kernel.registry, self._device.name
         filters = registry.filters(device)
         return {
             "device": device,
             "driver": by,
+            "late": late,
             "stop_after_s": self._device.stop_after_s,
             "paused": self._paused(),
             "filters": filters.describe(self.now()) if filters is not None else [],

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import pytest
 from allocation.rounds import Robot, Team, drawn
 from msgspec.structs import replace
 
+from pancakes.durable import completion
 from pancakes.durable.auction import Round, RoundId
-from pancakes.durable.completion import allowed
-from pancakes.durable.market import Lot, Row, market_of
+from pancakes.durable.completion import allowed, calmed, completed
+from pancakes.durable.market import MOST_LOTS, Lot, Market, Row, market_of
 
 
 def held(robots: dict[str, Robot], *, loss: float = 0.2, seed: int = 1, starter: str = "") -> Team:
@@ -123,6 +125,78 @@ def test_an_agent_that_does_not_hear_of_all_adds_nothing_to_what_others_claim() 
     team.run()
     assert team.rounds["a"].agreed and "c" not in team.rounds["a"].market.rows
     assert team.allocation() == {"a": [], "b": ["c/W"], "c": []}
+
+
+def test_an_agent_that_hears_of_all_adds_nothing_if_others_do_not() -> None:
+    """a does not hear of c, so it would keep V on its only place, and could not take T."""
+    robots = {
+        "a": Robot(1, 0.0, {"a/V": Lot(9.5)}, {"a/V": 1.0, "b/T": 1.0}),
+        "b": Robot(2, 0.0, {"b/T": Lot(9.0, together=("U",)), "b/U": Lot(9.0)}, {"a/V": 8.0, "b/U": 1.0}),
+        "c": Robot(),
+    }
+    assert held(robots).allocation() == {"a": ["b/T"], "b": ["a/V", "b/U"], "c": []}
+    team = Team(robots)
+    team.apart.add(frozenset("ac"))
+    team.begin("b")
+    team.run()
+    assert all(it.agreed for it in team.rounds.values())
+    assert team.allocation() == {"a": ["a/V"], "b": [], "c": []}
+
+
+NAMES = [f"T{number:03}" for number in range(MOST_LOTS)]
+
+
+def most_lots(**lots: Lot) -> tuple[Market, dict[str, list[str]]]:
+    """Returns a market of the most lots, in turns of a and b, and where they are."""
+    there = {agent: {f"{agent}/{name}": lots[name] for name in NAMES["ab".index(agent) :: 2]} for agent in "ab"}
+    costs = {key: 1.0 for mine in there.values() for key in mine}
+    market = market_of({agent: Row(1, "a", at_most=256, lots=mine, costs=costs) for agent, mine in there.items()})
+    assert len(market.lots) == MOST_LOTS
+    return market, {agent: list(mine) for agent, mine in there.items()}
+
+
+def counted(monkeypatch: pytest.MonkeyPatch, name: str) -> list[Any]:
+    """Returns a list that gets longer with each call of a function of `completion`."""
+    calls: list[Any] = []
+    whole = getattr(completion, name)
+
+    def called(*arguments: Any) -> Any:
+        calls.append(arguments)
+        return whole(*arguments)
+
+    monkeypatch.setattr(completion, name, called)
+    return calls
+
+
+def test_a_group_of_all_tasks_of_a_team_is_not_tried_from_each_of_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Else each agent would think for a quarter of a minute, and say nothing meanwhile."""
+    market, _ = most_lots(**dict.fromkeys(NAMES, Lot(9.0, together=tuple(NAMES))))
+    looked_at = counted(monkeypatch, "_is_possible")
+    assert completed(market, {"a": [], "b": []}) == {"a": [], "b": []}
+    assert len(looked_at) <= 2 * MOST_LOTS
+
+
+def test_a_chain_of_tasks_that_breaks_is_not_planned_once_for_each_link(monkeypatch: pytest.MonkeyPatch) -> None:
+    chain = {name: Lot(9.0, together=(before,)) for name, before in zip(NAMES, [NAMES[1], *NAMES], strict=False)}
+    market, there = most_lots(**chain)
+    planned = counted(monkeypatch, "timetable")
+    assert allowed(market, {**there, "a": there["a"][1:]}) == {"a": [], "b": []}
+    assert len(planned) == 2
+
+
+def test_of_many_migrations_that_gain_nothing_only_some_are_called_off(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each takes a timetable of all tasks."""
+    market, there = most_lots(**dict.fromkeys(NAMES, Lot(9.0, takes_s=1.0)))
+    tried: list[Any] = []
+
+    def faults(*arguments: Any) -> list[str]:
+        tried.append(arguments)
+        return []
+
+    monkeypatch.setattr(Market, "faults", faults)
+    monkeypatch.setattr(Market, "value", lambda _, bundles: float(bundles is not there))
+    calmed(market, {"a": there["b"], "b": there["a"]}, there)
+    assert 1 <= len(tried) <= 10
 
 
 def test_what_must_come_before_is_allocated_for_what_comes_after_it() -> None:

@@ -11,14 +11,18 @@ import struct
 import termios
 import time
 from collections.abc import Iterator
+from itertools import count
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import pytest
 from cli.processes import PATIENCE_S, Rig
 from harness.programs import Program, pancakes
 
+from pancakes.control import Drive, Reply
+from pancakes.errors import NoAnswerError
 from pancakes.tools.cli.hand_input import AGAIN_S, EVENT, FIRST_S, STILL, Gamepad, Keyboard, Share
+from pancakes.tools.cli.verbs import drive
 
 MOTORS = '[device.motors]\ndriver = "null.motors"\n[device.place]\ndriver = "null.pose"\nrate_hz = 1\n'
 GO = """
@@ -332,6 +336,31 @@ def test_stick_says_nothing_after_a_stop_until_it_was_at_its_centre():
 
 def test_events_are_those_of_the_kernel():
     assert EVENT.size == struct.calcsize("=IhBB") == 8
+
+
+def test_terminal_only_asks_to_stand_while_an_answer_is_missing():
+    """The link may deliver all that it sent meanwhile at once, and the robot obeys the second of them."""
+    sent: list[float] = []
+    ticks = count()
+
+    class Away:
+        now = staticmethod(lambda: next(ticks) * 0.1)
+
+        def request(self, agent: str, velocity: Drive, timeout_s: float) -> Reply:
+            sent.append(velocity.v_mps)
+            if len(sent) in (2, 3, 4):
+                raise NoAnswerError(f"{agent} does not answer")
+            return Reply(result={"filters": []})
+
+    class Holding:
+        quits = False
+        read = staticmethod(lambda for_s, now: (Share(1.0, 0.0), 1.0))
+        wait = staticmethod(lambda for_s: None)
+
+    first = Drive("motors", "one", begin=True)
+    most, over = (0.2, 1.0), lambda: len(sent) == 6
+    drive.send_commands(cast("Any", Away()), "a", first, {"stop_after_s": 0.5}, cast("Any", Holding()), most, over)
+    assert sent == [0.2, 0.2, 0.0, 0.0, 0.0, 0.2]
 
 
 def test_recording_tells_who_drove(rig: Rig, tmp_path: Path):

@@ -35,7 +35,7 @@ from pancakes.devices import (
 from pancakes.events import Event, LogLine
 from pancakes.packet import Packet, type_name
 from pancakes.recording.reader import RecordingReader
-from pancakes.recording.records import RecordedPacket
+from pancakes.recording.records import RecordedPacket, RecordingError
 from pancakes.simulation.fleet import registered
 from pancakes.task import Task, on
 from pancakes.tools.replay.replay import Selection, tally_of
@@ -43,6 +43,7 @@ from pancakes.tools.replay.virtual_replay import VirtualReplay
 
 pytest.importorskip("rosbags")
 
+from pancakes_ros2.bag_export import BagExport
 from pancakes_ros2.bag_messages import empty, to_bytes, typestore
 from pancakes_ros2.conversion import CONVERSIONS
 from pancakes_ros2.message_fields import Moment, not_read
@@ -464,6 +465,15 @@ def test_a_full_disk_gets_a_sentence(tmp_path):
             said = run("export", tmp_path / "again", "--out", place, "--storage", storage, code=1)
         assert said.startswith(f"the bag {place} cannot be written: ")
         assert not place.exists()
+
+
+def test_a_bag_that_another_program_makes_meanwhile_stays(tmp_path, monkeypatch):
+    bag = bag_of(tmp_path / "bag", odometry(1.0))
+    before = sorted(it.name for it in bag.iterdir())
+    monkeypatch.setattr("pancakes_ros2.bag_export.os.path.lexists", lambda path: False)
+    with pytest.raises(RecordingError, match="exists already"):
+        BagExport().write([], bag, "sqlite3")
+    assert sorted(it.name for it in bag.iterdir()) == before
 
 
 def test_nothing_is_overwritten(tmp_path):

@@ -169,6 +169,28 @@ def test_driver_that_is_back_in_time_drives_on(fleet):
     assert newest() == (0.4, "a/device/drive-motors")
 
 
+def test_command_that_a_link_delivers_after_the_stop_is_answered_and_not_obeyed(fleet):
+    """The person may have let the key go meanwhile."""
+    robot(fleet)
+    alice = person(fleet)
+    begin(alice)
+    drive(fleet, alice, 0.5, 0.4)
+    fleet.run_for(STOP_S + 0.5)
+    assert newest() == (0.0, "")
+    reply = alice.ask(Drive("motors", "one", 0.4), to="a")
+    assert reply.ok and reply.result["late"] is True
+    fleet.run_for(STOP_S - 0.1)
+    assert newest()[0] == 0.0
+    reply = alice.ask(Drive("motors", "one", 0.3), to="a")
+    assert reply.ok and reply.result["late"] is False
+    fleet.run_for(0.1)
+    assert newest() == (0.3, "a/device/drive-motors")
+    fleet.run_for(STOP_S + 0.5)
+    assert begin(alice, id="two", take=True, v_mps=0.2).ok, "what begins a drive is new"
+    fleet.run_for(0.1)
+    assert newest() == (0.2, "a/device/drive-motors")
+
+
 def test_drive_that_is_over_does_not_begin_by_itself(fleet):
     robot(fleet)
     alice = person(fleet)

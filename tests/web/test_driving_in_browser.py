@@ -125,6 +125,32 @@ def test_robot_stops_and_goes_on_if_the_person_leaves(robot: Rig, browser: Any, 
     assert faults == []
 
 
+def test_page_only_asks_to_stand_while_an_answer_is_missing(robot: Rig, browser: Any, faults: list[str]):
+    """The network may deliver all that it sent meanwhile at once."""
+    page = opened(browser, view(robot, "--control"), faults)
+    drive = panel(page)
+    drive.get_by_role("button", name="Drive", exact=True).click()
+    expect(drive.get_by_role("application")).to_be_focused()
+    page.keyboard.down("w")
+    assert wheels_hear(robot, 0.2, 0.0, DRIVE)
+    page.evaluate(
+        """() => {
+          window.lost = [];
+          const whole = WebSocket.prototype.send;
+          WebSocket.prototype.send = function (text) {
+            const { do: what, v_mps } = JSON.parse(text);
+            if (what !== "drive") return whole.call(this, text);
+            lost.push(v_mps);
+            if (lost.length === 3) WebSocket.prototype.send = whole;
+          };
+        }"""
+    )
+    page.wait_for_function("() => lost.length === 3")
+    assert page.evaluate("() => lost") == [0.2, 0, 0]
+    assert wheels_hear(robot, 0.2, 0.0, DRIVE), "it is back, and the key is still held"
+    assert faults == []
+
+
 def test_second_page_sees_who_drives_and_takes_over(robot: Rig, browser: Any, faults: list[str]):
     address = view(robot, "--control")
     pages = [opened(browser, address, faults) for _ in range(2)]

@@ -177,7 +177,7 @@ def test_world_settings_give_arena_and_sizes(model: FleetModel):
     describe(model, agent("world", task("world", "World"), role="environment"))
     settings = {
         "arena": {"width_m": 4.0, "height_m": 3.0},
-        "robots": {"a": {"model": "khepera3"}},
+        "robots": {"a": {"model": "khepera3"}, "p": {"model": "pioneer3dx"}},
         "sensors": {"s": {"radius_m": 0.06, "motion": {"range_m": 2.5}}},
         "movers": {"m": {"radius_m": 0.1}},
     }
@@ -185,6 +185,7 @@ def test_world_settings_give_arena_and_sizes(model: FleetModel):
 
     assert model.board.get("arena") == [4.0, 3.0]
     assert model.board.get("shape/a") == {"kind": "robot", "radius_m": 0.065}
+    assert model.board.get("shape/p")["laser_m"] == 0.02, "its laser scanner is ahead of its middle"
     assert model.board.get("shape/s") == {"kind": "sensor", "radius_m": 0.06, "range_m": 2.5}
     assert model.board.get("shape/m") == {"kind": "mover", "radius_m": 0.1}
 

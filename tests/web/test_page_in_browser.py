@@ -267,6 +267,40 @@ def test_fifty_agents_have_separate_places(looking: Any):
     assert picked == [50, True]
 
 
+def test_laser_scan_is_drawn_from_where_the_scanner_stands(looking: Any):
+    """A robot at (1, 2) looks along y; its scanner is 0.5 m ahead of its middle, and sees something 2 m ahead."""
+    seen = looking.evaluate(
+        """async () => {
+          const { Arena } = await import("/arena.js");
+          const canvas = document.createElement("canvas");
+          canvas.style = "position: fixed; top: 0; left: 0; width: 400px; height: 400px";
+          document.body.append(canvas);
+          const keys = {
+            body: {a: [1, 2, Math.PI / 2, ""]},
+            shape: {a: {kind: "robot", radius_m: 0.2, laser_m: 0.5}},
+            ring: {"a/laser_scan": {bearings_rad: [0], max_m: 4}},
+            rays: {"a/laser_scan": [2]},
+          };
+          const picture = {
+            agents: () => ["a"],
+            table: (kind) => new Map(Object.entries(keys[kind] || {})),
+            get: (kind, key) => keys[kind]?.[key],
+            arena: [10, 10],
+          };
+          const arena = new Arena(canvas);
+          arena.glides.set("a", {from: keys.body.a, to: keys.body.a, since: 0});
+          arena.layers = {trails: false, rays: true, circles: false, names: false};
+          const dots = [];
+          const arc = arena.pen.arc.bind(arena.pen);
+          arena.pen.arc = (...at) => { if (at[2] === 1.8) dots.push(at); arc(...at); };
+          arena.draw(picture, [], 0);
+          canvas.remove();
+          return dots.map(([x, y]) => [(x - arena.middle[0]) / arena.scale, (arena.middle[1] - y) / arena.scale]);
+        }"""
+    )
+    assert seen == [pytest.approx([1.0, 4.5])]
+
+
 def test_ended_fleet_keeps_its_timeline(rig: Rig, browser: Any, faults: list[str]):
     rig.install("walk", "[pancakes.tasks]\nwalk.Walk = plugin_walk:Walk\n", WALK)
     running = rig.ready("a", WALKING)

@@ -83,15 +83,24 @@ def _missing_extras(config: Config) -> Iterator[tuple[KeyPath, str]]:
         if service.type in OF_SERVICES:
             wanted.append((("service", name, "type"), *OF_SERVICES[service.type]))
     for key, module, what in wanted:
-        if find_spec(module) is None:
-            yield key, f"{what} without {module}: pip install 'pancakes-agents[{EXTRAS[module]}]'"
+        if not _is_installed(module):
+            package = module.partition(".")[0]
+            yield key, f"{what} without {package}: pip install 'pancakes-agents[{EXTRAS[package]}]'"
+
+
+def _is_installed(module: str) -> bool:
+    try:
+        return find_spec(module) is not None
+    except ModuleNotFoundError:  # a package that it is in
+        return False
 
 
 OF_SERVICES: Final = {
     "metrics": ("prometheus_client", "there are no metrics"),
-    "traces": ("opentelemetry", "no traces are sent"),
+    # Other distributions bring a part of `opentelemetry` too.
+    "traces": ("opentelemetry.exporter.otlp.proto.http", "no traces are sent"),
 }
-"""The module that a service of Pancakes' own needs from an extra, and what there is not without it."""
+"""The module of an extra that a service needs, and what an agent does without if it is not installed."""
 NOT_HERE: Final = "it would not start on this machine"
 
 

@@ -7,7 +7,7 @@ The values of the board, by name (AGENT, TASK ... stand for names; all values ar
 | `fleet` | `{name, speed, held}` |
 | `arena` | `[width_m, height_m]`, round the origin |
 | `body/NAME` | `[x_m, y_m, theta_rad, driven_by]` |
-| `shape/NAME` | `{kind, radius_m?, range_m?}`; kind: `robot`, `sensor`, `mover` |
+| `shape/NAME` | `{kind, radius_m?, range_m?, laser_m?}`; kind: `robot`, `sensor`, `mover` |
 | `ring/AGENT/TYPE` | `{bearings_rad, max_m}` of a range sensor |
 | `rays/AGENT/TYPE` | `[range_m, ...]` |
 | `motion/AGENT` | `[detected, bearing_rad, range_m]` |
@@ -454,9 +454,12 @@ def _shape(kind: str, body: Mapping[str, Any]) -> dict[str, Any]:
     """
     shape: dict[str, Any] = {"kind": kind}
     radius_m = body.get("radius_m")
-    if radius_m is None and isinstance(body.get("model"), str):
+    if isinstance(body.get("model"), str):
         with suppress(UnknownRobotModelError):
-            radius_m = robot_model(body["model"]).radius_m
+            model = robot_model(body["model"])
+            radius_m = model.radius_m if radius_m is None else radius_m
+            if model.laser is not None and model.laser.ahead_m:
+                shape["laser_m"] = model.laser.ahead_m
     if radius_m is not None:
         shape["radius_m"] = radius_m
     motion = body.get("motion")

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
-from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.rosbag2 import StoragePlugin, Writer, WriterError
 
 from pancakes.errors import PancakesError
 from pancakes.events import Event, LogLine, level_of
@@ -106,9 +106,10 @@ class BagExport:
             RecordingError: it cannot be written, or the recording cannot be read.
         """
         self._store = typestore()
-        is_new = not os.path.lexists(path)
+        is_new, is_open = not os.path.lexists(path), False
         try:
             with Writer(path, version=VERSION, storage_plugin=STORAGES[storage]) as writer:
+                is_open = True
                 connections: dict[str, Any] = {}
                 for entry in entries:
                     for one in self._messages(entry):
@@ -117,7 +118,8 @@ class BagExport:
                             connections[topic] = writer.add_connection(topic, one.kind, typestore=self._store)
                         writer.write(connections[topic], entry.time_ns, one.data)
         except BaseException as error:
-            if is_new:
+            # Before it is open, a `WriterError` says that another program has made the folder meanwhile.
+            if is_new and (is_open or not isinstance(error, WriterError)):
                 shutil.rmtree(path, ignore_errors=True)
             if isinstance(error, PancakesError) or not isinstance(error, Exception):
                 raise

@@ -105,7 +105,7 @@ def drive(
             begun = request_result(client, agent, body)
             try:
                 _tell_begin(agent, begun)
-                _drive(client, agent, body, begun, hands, (speed_mps, turn_radps), ended.is_set)
+                send_commands(client, agent, body, begun, hands, (speed_mps, turn_radps), ended.is_set)
             finally:
                 _end(client, agent, body, begun)
 
@@ -116,7 +116,7 @@ def _tell_begin(agent: str, begun: dict[str, Any]) -> None:
     show_text(KEYS)
 
 
-def _drive(
+def send_commands(
     client: Client,
     agent: str,
     first: Drive,
@@ -132,7 +132,7 @@ def _drive(
     """
     period_s = min(SEND_S, begun["stop_after_s"] / 4)
     answered_s = due_s = client.now()
-    moving = False
+    moving = unanswered = False
     while not (ended() or hands.quits):
         share, factor = hands.read(due_s - client.now(), client.now)
         now_s = client.now()
@@ -140,18 +140,22 @@ def _drive(
         if now_s < due_s and not stops:
             continue
         due_s, moving = now_s + period_s, share != STILL
+        if unanswered:
+            # The link may deliver all that were sent meanwhile, one after the other, when nobody wants them any more.
+            share = STILL
         velocity = Drive(first.target, first.id, share.forward * most[0] * factor, share.turn * most[1] * factor)
         try:
             reply = client.request(agent, velocity, ANSWER_S)
         except (NoAnswerError, UnreachableError) as error:
             if client.now() - answered_s > SILENT_S:
                 raise NoAnswerError(f"{error}. {agent} has stopped by itself, and the drive is over") from None
+            unanswered = True
             _show(f"{agent} does not answer: it stops by itself")
             hands.wait(period_s)
             continue
         if not reply.ok:
             raise ControlRefusedError.of(reply.refusal)
-        answered_s = client.now()
+        answered_s, unanswered = client.now(), False
         _show(_line(velocity, reply.result))
 
 

@@ -245,15 +245,17 @@ export class Arena {
       const ring = picture.get("ring", key);
       if (!ring || !picture.get("body", agent)) continue;
       const body = this.#place(agent, now);
-      // Rings measure from the edge of the body; a laser scanner stands about its middle.
-      const edge = type === "laser_scan" ? 0 : picture.get("shape", agent)?.radius_m || 0.07;
+      // Rings measure from the edge of the body. Where a laser scanner stands, is known of simulated robots.
+      const shape = picture.get("shape", agent);
+      const [edge, ahead] = type === "laser_scan" ? [0, shape?.laser_m || 0] : [shape?.radius_m || 0.07, 0];
+      const middle = [body[0] + ahead * Math.cos(body[2]), body[1] + ahead * Math.sin(body[2])];
       ranges.forEach((range, index) => {
         const angle = body[2] + ring.bearings_rad[index];
         const hit = range < ring.max_m * 0.97;
-        const from = this.#pixel([body[0] + edge * Math.cos(angle), body[1] + edge * Math.sin(angle)]);
+        const from = this.#pixel([middle[0] + edge * Math.cos(angle), middle[1] + edge * Math.sin(angle)]);
         const end = this.#pixel([
-          body[0] + (edge + range) * Math.cos(angle),
-          body[1] + (edge + range) * Math.sin(angle),
+          middle[0] + (edge + range) * Math.cos(angle),
+          middle[1] + (edge + range) * Math.sin(angle),
         ]);
         const near = type === "ir";
         this.#line(from, end, colour(agent, near ? (hit ? 0.95 : 0.4) : hit ? 0.24 : 0.1), near ? 1.6 : 1);

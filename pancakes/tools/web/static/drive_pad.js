@@ -104,6 +104,7 @@ export class DrivePad {
       return;
     }
     this.id = id;
+    this.unanswered = false;
     this.render(true, this.driver);
     this.pad.focus();
     this.paused = result.paused;
@@ -129,11 +130,13 @@ export class DrivePad {
       return;
     }
     this.busy = true;
-    const velocity = this.#velocity();
+    // The link may deliver all that were sent without an answer, one after the other, when nobody wants them any more.
+    const velocity = this.unanswered ? { v_mps: 0, omega_radps: 0 } : this.#velocity();
     const late = new Promise((resolve) => setTimeout(() => resolve(null), ANSWER_MS));
     const answer = await Promise.race([this.#order("drive", { drive: id, ...velocity }), late]);
     this.busy = false;
     if (this.id !== id) return;
+    this.unanswered = answer === null;
     if (answer === null) this.#tell(`${this.agent} does not answer: it stops by itself`, true);
     else if (answer.ok) this.#tell(this.#line(velocity, answer.result));
     else this.#over(answer.reason, true);
