@@ -259,6 +259,15 @@ def test_a_keeper_without_an_agent_leaves_the_goals_of_the_next_life_alone():
     assert {it.id for it in told if isinstance(it, Cancel)} == {id}
 
 
+def test_a_goal_that_was_cancelled_before_it_was_sent_has_ended():
+    bench = Bench(ready=False)
+    bench.want()
+    assert bench.want(fields=None) == [Tell(A, "canceled")]
+    bench.servers, bench.ready = {"s"}, True
+    bench.let(SETTLED_S)
+    assert set(map(type, bench.keep(1.0))) == {Tell}, "as each further command of that goal is told"
+
+
 OTHERS = {"order": 4}
 
 

@@ -97,6 +97,10 @@ class _Wanted:
     until_s: float
     since_s: float
     told_waiting: str = ""
+    goal: dict[str, Any] | None = None  # what a cancelled one was
+
+    def __post_init__(self) -> None:
+        self.goal = self.fields
 
 
 @dataclass
@@ -121,7 +125,7 @@ class _Flight:
     listed_as: GoalState | None = None
 
 
-def _is_of(fields: dict[str, Any], key: Key, command: _Wanted) -> bool:
+def _is_of(fields: dict[str, Any] | None, key: Key, command: _Wanted) -> bool:
     """Return whether a command is about a goal: a task that begins anew may use a number once more."""
     return command.key == key and (command.fields is None or command.fields == fields)
 
@@ -141,7 +145,7 @@ class GoalMachine:
     draw: Callable[[], bytes]
     _wanted: _Wanted | None = None
     _flight: _Flight | None = None
-    _ended: tuple[Tell, dict[str, Any]] | None = None
+    _ended: tuple[Tell, dict[str, Any] | None] | None = None
     _orphans: dict[bytes, _Cancelling] = field(default_factory=dict)
     _servers: frozenset[str] = frozenset()
     _ready_s: float | None = None
@@ -163,6 +167,7 @@ class GoalMachine:
         before = self._wanted
         if before is not None and before.key == key:
             before.fields, before.until_s = fields, until_s
+            before.goal = before.goal if fields is None else fields
         else:
             self._wanted = command
         return self._settle(now_s)
@@ -285,8 +290,9 @@ class GoalMachine:
         wanted = self._wanted
         if self._flight is None and wanted is not None:
             if wanted.fields is None:
-                self._wanted = None
-                effects.append(Tell(wanted.key, "canceled"))
+                told = Tell(wanted.key, "canceled")
+                self._wanted, self._ended = None, (told, wanted.goal)
+                effects.append(told)
             elif why := self._obstacle(now_s):
                 if now_s - wanted.since_s >= TELL_WAITING_S and why != wanted.told_waiting:
                     wanted.told_waiting = why
