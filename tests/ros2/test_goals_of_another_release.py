@@ -92,11 +92,10 @@ def test_a_goal_moves_with_its_task_and_ends_on_the_robot_that_it_leaves(start_a
     begins(first)
     with Client() as client:
         assert client.request("agent1", Migrate("Errand", to="agent2")).ok
-    left, began = ends(first), begins(second, "agent2")
-    assert left["state"] == "canceled"
+    assert ends(first)["state"] == "canceled"
+    begins(second, "agent2")
     assert ends(second, "agent2")["state"] == "succeeded"
     agent2.wait_for_line("goal_ended number=1 state=succeeded")
-    assert left["at_s"] < began["at_s"] + 0.3, "the one stands when the other begins, give or take a message"
     assert (count(first, "begins"), count(second, "begins", "agent2")) == (1, 1)
 
 
