@@ -82,7 +82,9 @@ class Prover:
         elif subject is not None and report.passed and report.when == "call":
             self._passed.add(subject)
 
-    def pytest_sessionfinish(self) -> None:
+    def pytest_sessionfinish(self, exitstatus: int) -> None:
+        if exitstatus not in (pytest.ExitCode.OK, pytest.ExitCode.TESTS_FAILED):
+            return  # it was interrupted, and what did not run has not passed
         before = json.loads(FILE.read_text(encoding="utf-8")) if FILE.is_file() else {}
         now = {name: self._digests[name] for name in self._passed - self._failed}
         after = {name: digest for name, digest in {**before, **now}.items() if name in SUBJECTS}

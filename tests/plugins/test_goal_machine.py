@@ -248,11 +248,64 @@ def test_goals_of_a_former_life_are_cancelled_and_those_of_others_are_not():
     assert [type(it) for it in told] == [Send]
 
 
+def test_a_keeper_without_an_agent_leaves_the_goals_of_the_next_life_alone():
+    bench = Bench()
+    id = bench.runs()
+    bench.servers, bench.ready = set(), False
+    bench.look()
+    bench.alone()
+    bench.servers, bench.ready = {"t"}, True
+    told = bench.add(bench.machine.listed([(b"mark-of-the-next", 2)], bench.now_s)) + bench.let(CANCEL_AGAIN_S)
+    assert {it.id for it in told if isinstance(it, Cancel)} == {id}
+
+
+def test_a_goal_that_was_cancelled_before_it_was_sent_has_ended():
+    bench = Bench(ready=False)
+    bench.want()
+    assert bench.want(fields=None) == [Tell(A, "canceled")]
+    bench.servers, bench.ready = {"s"}, True
+    bench.let(SETTLED_S)
+    assert set(map(type, bench.keep(1.0))) == {Tell}, "as each further command of that goal is told"
+
+
+OTHERS = {"order": 4}
+
+
+def test_a_number_that_a_task_uses_once_more_for_another_goal_is_another_goal():
+    bench = Bench()
+    id = bench.runs()
+    assert bench.want(fields=OTHERS) == [Cancel(id)], "a task that has begun anew counts from 1"
+    told = bench.result(id, SUCCEEDED)
+    assert told[0] == Tell(A, "held"), "it is not the new goal that was reached"
+    (sent,) = [it for it in told if isinstance(it, Send)]
+    assert sent.fields == OTHERS
+    bench.add(bench.machine.answered(sent.id, True, bench.now_s))
+    assert bench.result(sent.id, SUCCEEDED)[0] == Tell(A, "succeeded")
+    assert [it.fields for it in bench.want() if isinstance(it, Send)] == [FIELDS], "nor after its end"
+
+
+def test_the_end_of_a_goal_is_told_also_if_its_result_is_lost_on_the_way():
+    bench = Bench()
+    id = bench.runs()
+    bench.add(bench.machine.listed([(id, SUCCEEDED)], bench.now_s))
+    assert bench.keep(RESULT_S - 0.1) == []
+    assert bench.keep(0.2)[0] == Tell(A, "succeeded", "the server of /one/go gives no result of it")
+
+
+def test_a_goal_whose_result_comes_after_its_status_has_one_end():
+    bench = Bench()
+    id = bench.runs()
+    bench.add(bench.machine.listed([(id, SUCCEEDED)], bench.now_s))
+    assert bench.result(id, SUCCEEDED, {"n": 1}) == [Tell(A, "succeeded", "", {"n": 1})]
+    assert bench.let(2 * RESULT_S) == []
+
+
 def test_it_does_not_stay_for_ever():
     bench = Bench()
     bench.runs()
     bench.alone()
     assert not any(isinstance(it, Leave) for it in bench.let(STAYS_S - 1.0))
+    bench.alone()  # it may be heard twice
     assert Leave() in bench.let(1.0)
 
 

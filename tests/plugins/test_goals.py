@@ -1,15 +1,31 @@
 """Tasks with a goal, the device's settings, and the pipe to the goal keeper: what needs no ROS 2."""
 
 import os
+import re
+import subprocess
+import sys
+from concurrent.futures import Future
 from dataclasses import dataclass
 from typing import Any
 
+import psutil
 import pytest
 from devices.driver_context import DriverContext
+from pancakes_ros2 import ros_action, ros_call
 from pancakes_ros2.action_task import ActionState, ActionTask, pose_goal
-from pancakes_ros2.goal_packets import Goal, GoalStatus
+from pancakes_ros2.goal_packets import Call, Goal, GoalStatus
 from pancakes_ros2.installation import checked_type, type_class
-from pancakes_ros2.keeper_pipe import MOST_BACKLOG, Command, Hold, PipeWriter, read_all
+from pancakes_ros2.keeper_pipe import (
+    MOST_BACKLOG,
+    Command,
+    Failure,
+    Hold,
+    PipeWriter,
+    Ready,
+    Setup,
+    Warned,
+    read_all,
+)
 from pancakes_ros2.ros_action import RosAction
 from pancakes_ros2.ros_call import RosCall
 
@@ -137,6 +153,10 @@ def test_of_several_devices_the_named_one_is_commanded(fleet):
 def test_a_goal_that_cannot_travel_is_refused(fleet, robot):
     with pytest.raises(PancakesError, match="the goal of Visit cannot travel: .*; write numbers, strings, lists and"):
         robot.task("Visit").send_goal({"order": object()})
+    for value in (2**70, "\ud800"):
+        with pytest.raises(PancakesError, match="the goal of Visit cannot travel: .*; write numbers"):
+            robot.task("Visit").send_goal({"order": value})
+    assert robot.task("Visit").state.number == 1
 
 
 def test_a_state_that_cannot_keep_a_goal_is_refused():
@@ -202,6 +222,171 @@ def test_without_ros_2_a_device_says_what_to_do(driver, settings):
         device.open()
     device.safe_stop()
     device.close()
+
+
+class MuteService:
+    """A node, its client and a service in one, which never answers."""
+
+    def __init__(self) -> None:
+        self.pending: list[Any] = []
+
+    def do(self, job, failed=None):
+        job(self)
+
+    def take(self, agent, virtual):
+        return self
+
+    def create_client(self, kind, name):
+        return self
+
+    def service_is_ready(self):
+        return True
+
+    def call_async(self, request):
+        self.pending.append(Future())
+        return self.pending[-1]
+
+    def remove_pending_request(self, future):
+        self.pending.remove(future)
+
+
+def test_a_call_that_is_given_up_is_not_kept(monkeypatch):
+    class Kind:
+        class Request:
+            def get_fields_and_field_types(self):
+                return {}
+
+    service = MuteService()
+    monkeypatch.setattr(ros_call, "NODES", service)
+    monkeypatch.setattr(ros_call, "type_class", lambda name, kind: Kind)
+    context = DriverContext()
+    device = RosCall(context, make_settings(RosCall.Settings, {"service": "a/B", "name": "go"}))
+    device.open()
+    device.write(Call(1), 0.5, "t")
+    device.write(Call(1), 0.5, "t")
+    context.run_until(0.2)
+    assert len(service.pending) == 2
+    context.run_until(6.0)
+    assert [answer.error[:35] for _, answer, _ in context.sent] == ["the service go has not answered wit"] * 2
+    assert service.pending == []
+
+
+# The goal keeper -------------------------------------------------------------------------------------------------
+
+OBEDIENT = """
+import sys
+from pancakes_ros2.keeper_pipe import *
+out = PipeWriter(1)
+orders = sys.stdin.buffer
+assert next(read_all(orders, Setup)).device == "pose"
+out.put(Ready())
+for order in read_all(orders, Command | Again | Hold):
+    out.put(Status("t", 1, "running", f"{type(order).__name__} {len(getattr(order, 'fields', None) or '')}"))
+"""
+STANDS_STILL = """
+import signal
+from pancakes_ros2.keeper_pipe import *
+PipeWriter(1).put(Ready())
+signal.pause()
+"""
+NEVER_READY = "import signal; signal.pause()"
+
+
+@pytest.fixture
+def keep(monkeypatch):
+    """Returns a device with another program in place of the goal keeper."""
+    monkeypatch.setattr(ros_action, "check_possible", lambda agent, virtual: None)
+    made = []
+    before = set(psutil.Process().children())
+
+    def start(program):
+        monkeypatch.setattr(ros_action, "KEEPER", ("-c", program))
+        device = RosAction(DriverContext(), make_settings(RosAction.Settings, {"action": "a/B", "name": "go"}))
+        made.append(device)
+        return device
+
+    yield start
+    for device in made:
+        device.close()
+    for process in set(psutil.Process().children()) - before:
+        process.kill()
+
+
+def heard(context, count):
+    """Lets time pass until the keeper has said so much; returns that."""
+    while len(context.sent) < count:
+        context.run_until(context.time_s + 0.01)
+    return [status.text for _, status, _ in context.sent]
+
+
+def test_a_long_goal_goes_through_the_pipe_once_and_a_hold_comes_after_it(keep):
+    device = keep(OBEDIENT)
+    device.open()
+    goal = Goal(1, {f"pose{number}": "x" * 100 for number in range(8000)})
+    device.write(goal, 0.5, "t")
+    device.safe_stop()
+    assert heard(device.context, 2) == ["Command 8000", "Hold 0"], "though nothing is commanded after it"
+    for _ in range(100):
+        device.write(goal, 0.5, "t")
+    device.write(Goal(1, None), 0.5, "t")
+    assert heard(device.context, 103)[2:] == ["Again 0"] * 100 + ["Command 0"]
+
+
+@pytest.mark.parametrize(
+    ("value", "why"),
+    [
+        ("x" * MOST_BACKLOG, rf"it has \d+ bytes, and at most {MOST_BACKLOG} are taken"),
+        (2**70, "it cannot be told to the goal keeper: .*"),
+    ],
+    ids=["long", "no number"],
+)
+def test_a_goal_that_the_keeper_cannot_be_told_is_refused(keep, value, why):
+    device = keep(OBEDIENT)
+    device.open()
+    device.write(Goal(2, {"order": value}), 0.5, "t")
+    ((channel, status, _),) = device.context.sent
+    assert (channel, status.task, status.number, status.state) == (SYSTEM, "t", 2, "refused")
+    assert re.fullmatch(why, status.text)
+    assert heard(device.context, 2)[1] == "Hold 0"
+
+
+def test_a_keeper_that_does_not_start_is_killed(keep, monkeypatch):
+    monkeypatch.setattr(ros_action, "STARTS_WITHIN_S", 0.1)
+    before = set(psutil.Process().children())
+    device = keep(NEVER_READY)
+    with pytest.raises(PancakesError, match=r"the goal keeper of go has not started within 0\.1 s"):
+        device.open()
+    _, alive = psutil.wait_procs(set(psutil.Process().children()) - before, timeout=20.0)
+    assert not alive
+
+
+def test_a_keeper_that_stands_still_is_killed_and_its_device_fails(keep, monkeypatch):
+    monkeypatch.setattr(ros_action, "LOOK_S", 0.01)
+    device = keep(STANDS_STILL)
+    device.open()
+    with pytest.raises(PancakesError, match="the goal keeper of go has ended with exit code -9"):
+        while True:
+            device.context.run_until(device.context.time_s + 0.01)
+    assert device.context.lines == [("warning", "the goal keeper of go stands still, and is killed")]
+
+
+def test_a_keeper_without_ros_2_says_so_and_ends_in_good_order():
+    """Here is no ROS 2. Its input stays open, and a thread of it reads from there."""
+    path = os.pathsep.join(sys.path)
+    process = subprocess.Popen(
+        [sys.executable, *ros_action.KEEPER],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        env={**os.environ, "PYTHONPATH": path},
+    )
+    assert process.stdin and process.stdout and process.stderr
+    PipeWriter(process.stdin.fileno()).put(Setup("one", "nav", "a/action/B", "go", 10.0))
+    (failure,) = read_all(process.stdout, Ready | Warned | Failure)
+    assert "ROS 2 does not start: No module named 'rclpy'" in failure.text
+    assert process.wait() == 0, process.stderr.read()
+    for stream in (process.stdin, process.stdout, process.stderr):
+        stream.close()
 
 
 # The pipe --------------------------------------------------------------------------------------------------------

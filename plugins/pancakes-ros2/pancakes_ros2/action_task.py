@@ -20,6 +20,7 @@ from typing import Any, ClassVar, Final, Generic, cast
 from pancakes.errors import ClassError, PancakesError
 from pancakes.packet import CTRL, SYSTEM
 from pancakes.task import SettingsT, StateT, Task, Tick, every, on
+from pancakes.util import codecs
 from pancakes.util.class_checks import check_own_names
 from pancakes_ros2.goal_packets import ENDED, GOAL, Goal, GoalState, GoalStatus
 
@@ -81,7 +82,8 @@ class ActionTask(Task[SettingsT, StateT], Generic[SettingsT, StateT]):
         """
         try:
             text = json.dumps(fields)
-        except (TypeError, ValueError) as error:
+            codecs.encode(dict(fields))  # JSON has numbers and texts that packets cannot have
+        except codecs.UNENCODABLE as error:
             raise PancakesError(
                 f"the goal of {self.name} cannot travel: {error}; write numbers, strings, lists and mappings"
             ) from None

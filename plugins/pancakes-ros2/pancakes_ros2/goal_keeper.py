@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import os
 import signal
-import sys
 import threading
 from collections.abc import Callable
 from functools import partial
@@ -23,7 +22,19 @@ from pancakes.util import codecs
 from pancakes.util.clock import MonotonicClock
 from pancakes_ros2.goal_machine import AskResult, Cancel, Effect, GoalMachine, Leave, Send, Tell, Warn
 from pancakes_ros2.installation import have_fields_checked, ros_name, type_class
-from pancakes_ros2.keeper_pipe import Command, Failure, Hold, PipeWriter, Ready, Setup, Status, Warned, read_all
+from pancakes_ros2.keeper_pipe import (
+    Again,
+    Alive,
+    Command,
+    Failure,
+    Hold,
+    PipeWriter,
+    Ready,
+    Setup,
+    Status,
+    Warned,
+    read_all,
+)
 from pancakes_ros2.message_fields import Unusable
 from pancakes_ros2.ros_message import fill, plain_of
 from pancakes_ros2.ros_node import RosNode
@@ -32,6 +43,8 @@ LOOK_S: Final = 0.05
 """How often it looks whether a command is still fresh."""
 GRAPH_EVERY: Final = 4
 """Each so many looks it asks ROS 2 which servers there are."""
+ALIVE_EVERY: Final = 20
+"""Each so many looks it says that it is at work."""
 MARK_LENGTH: Final = 8
 ID_LENGTH: Final = 16
 """Of the UUID of a goal, in bytes."""
@@ -57,7 +70,13 @@ class GoalKeeper:
         self._out = out
         self._now = MonotonicClock().now
         self._pace = Pace(setup.feedback_hz)
+        self._parent = os.getppid()
         self._looks = 0
+        self._servers: set[str] = set()
+        self._ready = False
+        self._others = ""
+        self._command: Command | None = None
+        self._told = ""
         self._handles: dict[bytes, Any] = {}
         self._cancels: dict[bytes, Any] = {}
 
@@ -82,12 +101,15 @@ class GoalKeeper:
         self._client = ActionClient(node, self._type, setup.name)
         self._canceller = node.create_client(CancelGoal, f"{setup.name}/_action/cancel_goal")
         node.create_subscription(
-            GoalStatusArray, f"{setup.name}/_action/status", self._listed, qos_profile_action_status_default
+            GoalStatusArray,
+            f"{setup.name}/_action/status",
+            lambda message: self._guarded(self._listed, message),
+            qos_profile_action_status_default,
         )
-        node.create_timer(LOOK_S, self._look)
+        node.create_timer(LOOK_S, lambda: self._guarded(self._look))
         self._say(Ready())
 
-    def take(self, order: Command | Hold | None) -> None:
+    def take(self, order: Command | Again | Hold | None) -> None:
         """Takes an order; None: the agent is gone."""
         now_s = self._now()
         if order is None:
@@ -95,22 +117,30 @@ class GoalKeeper:
         elif isinstance(order, Hold):
             self._carry_out(self._machine.hold(now_s))
         else:
-            key = (order.task, order.number)
-            self._carry_out(self._machine.want(key, order.fields, order.until_s, now_s))
+            if isinstance(order, Command):
+                self._command = order
+            if (command := self._command) is not None:
+                key = (command.task, command.number)
+                self._carry_out(self._machine.want(key, command.fields, order.until_s, now_s))
 
     # What the server says ----------------------------------------------------------------------------------------
 
     def _look(self) -> None:
+        if os.getppid() != self._parent:
+            self.take(None)  # a process that the agent has forked may hold its end of the pipe open
         if self._looks % GRAPH_EVERY == 0:
-            there = self._rcl.get_publishers_info_by_topic(f"{self._name}/_action/feedback")
-            self._servers = {bytes(it.endpoint_gid).hex() for it in there}
-            self._ready = bool(self._client.server_is_ready())
-            kinds = {it.topic_type.removesuffix("_FeedbackMessage") for it in there}
-            self._others = ", ".join(sorted(kinds - {self._setup.action}))
+            self._guarded(self._look_at_graph)
         self._looks += 1
         why = f"the action server {self._name} has the type {self._others}, not {self._setup.action}"
         self._carry_out(self._machine.look(self._servers, self._ready, self._now(), why if self._others else ""))
-        self._say(None)
+        self._say(Alive() if self._looks % ALIVE_EVERY == 0 else None)
+
+    def _look_at_graph(self) -> None:
+        there = self._rcl.get_publishers_info_by_topic(f"{self._name}/_action/feedback")
+        self._servers = {bytes(it.endpoint_gid).hex() for it in there}
+        self._ready = bool(self._client.server_is_ready())
+        kinds = {it.topic_type.removesuffix("_FeedbackMessage") for it in there}
+        self._others = ", ".join(sorted(kinds - {self._setup.action}))
 
     def _listed(self, message: Any) -> None:
         goals = [(bytes(it.goal_info.goal_id.uuid.tolist()), int(it.status)) for it in message.status_list]
@@ -118,7 +148,7 @@ class GoalKeeper:
 
     def _answered(self, id: bytes, future: Any) -> None:
         handle: Any = future.result()
-        self._handles = {id: handle}
+        self._handles[id] = handle
         self._carry_out(self._machine.answered(id, bool(handle.accepted), self._now()))
 
     def _fed_back(self, id: bytes, message: Any) -> None:
@@ -163,6 +193,7 @@ class GoalKeeper:
             text = f"it is no goal of {self._setup.action}: {error}"
             self._carry_out(self._machine.unsendable(effect.id, text, self._now()))
             return
+        self._handles.clear()
         uuid = self._uuid(uuid=list(effect.id))
         feedback = partial(self._guarded, self._fed_back, effect.id)
         self._then(self._client.send_goal_async(goal, feedback, uuid), self._answered, effect.id)
@@ -180,13 +211,16 @@ class GoalKeeper:
     def _then(self, future: Any, method: Callable[[bytes, Any], None], id: bytes) -> None:
         future.add_done_callback(partial(self._guarded, method, id))
 
-    def _guarded(self, method: Callable[[bytes, Any], None], id: bytes, came: Any) -> None:
+    def _guarded(self, method: Callable[..., None], *came: Any) -> None:
         try:
-            method(id, came)
+            method(*came)
         except Exception as error:  # what rclpy raises must not end the keeper of a goal
-            self._say(Warned(f"what the server of {self._name} said was dropped: {error!r}"))
+            text = f"what is known of the server of {self._name} may be wrong: {error!r}"
+            if text != self._told:
+                self._told = text
+                self._say(Warned(text))
 
-    def _say(self, body: Ready | Status | Warned | None) -> None:
+    def _say(self, body: Ready | Alive | Status | Warned | None) -> None:
         try:
             if body is None:
                 self._out.flush()
@@ -204,7 +238,7 @@ def main() -> None:
     number = os.dup(1)
     os.dup2(2, 1)  # what a library prints is not for the agent
     out = PipeWriter(number)
-    orders = sys.stdin.buffer
+    orders = os.fdopen(os.dup(0), "rb")  # not `sys.stdin`, which Python closes at its end while a thread reads it
     setup = next(read_all(orders, Setup), None)
     if setup is None:
         return
@@ -217,7 +251,7 @@ def main() -> None:
 
     def listen() -> None:
         try:
-            for order in read_all(orders, Command | Hold):
+            for order in read_all(orders, Command | Again | Hold):
                 node.do(partial(_take, keeper, order))
         finally:
             node.do(partial(_take, keeper, None))
@@ -228,7 +262,7 @@ def main() -> None:
         pass
 
 
-def _take(keeper: GoalKeeper, order: Command | Hold | None, node: Any) -> None:
+def _take(keeper: GoalKeeper, order: Command | Again | Hold | None, node: Any) -> None:
     keeper.take(order)
 
 

@@ -27,6 +27,7 @@ STAYS_S: Final = 60.0
 """For this long a goal is cancelled after the agent is gone."""
 
 SUCCEEDED, CANCELED, ABORTED = 4, 5, 6
+ENDS: Final[dict[int, GoalState]] = {SUCCEEDED: "succeeded", CANCELED: "canceled", ABORTED: "aborted"}
 ACTIVE: Final = (1, 2, 3)
 """Of action_msgs/GoalStatus: accepted, executing, canceling."""
 REJECTED, UNKNOWN, TERMINATED = 1, 2, 3
@@ -96,6 +97,10 @@ class _Wanted:
     until_s: float
     since_s: float
     told_waiting: str = ""
+    goal: dict[str, Any] | None = None  # what a cancelled one was
+
+    def __post_init__(self) -> None:
+        self.goal = self.fields
 
 
 @dataclass
@@ -111,11 +116,18 @@ class _Cancelling:
 class _Flight:
     key: Key
     id: bytes
+    fields: dict[str, Any]
     sent_s: float
     accepted: bool = False
     servers: frozenset[str] = frozenset()
     cancelling: _Cancelling | None = None
     result_due_s: float | None = None
+    listed_as: GoalState | None = None
+
+
+def _is_of(fields: dict[str, Any] | None, key: Key, command: _Wanted) -> bool:
+    """Return whether a command is about a goal: a task that begins anew may use a number once more."""
+    return command.key == key and (command.fields is None or command.fields == fields)
 
 
 @dataclass
@@ -133,7 +145,7 @@ class GoalMachine:
     draw: Callable[[], bytes]
     _wanted: _Wanted | None = None
     _flight: _Flight | None = None
-    _ended: Tell | None = None
+    _ended: tuple[Tell, dict[str, Any] | None] | None = None
     _orphans: dict[bytes, _Cancelling] = field(default_factory=dict)
     _servers: frozenset[str] = frozenset()
     _ready_s: float | None = None
@@ -146,14 +158,18 @@ class GoalMachine:
         """A command has come. It is good until a time; without fields, the goal is to be cancelled."""
         if until_s <= now_s or self._alone_s is not None:
             return self._settle(now_s)
-        if self._ended is not None and self._ended.key == key:
-            self._wanted = None
-            return [self._ended, *self._settle(now_s)]  # its task may not have heard it
+        command = _Wanted(key, fields, until_s, now_s)
+        if self._ended is not None:
+            told, ended = self._ended
+            if _is_of(ended, told.key, command):
+                self._wanted = None
+                return [told, *self._settle(now_s)]  # its task may not have heard it
         before = self._wanted
         if before is not None and before.key == key:
             before.fields, before.until_s = fields, until_s
+            before.goal = before.goal if fields is None else fields
         else:
-            self._wanted = _Wanted(key, fields, until_s, now_s)
+            self._wanted = command
         return self._settle(now_s)
 
     def hold(self, now_s: float) -> list[Effect]:
@@ -163,7 +179,8 @@ class GoalMachine:
 
     def alone(self, now_s: float) -> list[Effect]:
         """The agent is gone."""
-        self._wanted, self._alone_s = None, now_s
+        if self._alone_s is None:
+            self._wanted, self._alone_s = None, now_s
         return self._settle(now_s)
 
     def look(self, servers: Iterable[str], ready: bool, now_s: float, why_not: str = "") -> list[Effect]:
@@ -212,8 +229,7 @@ class GoalMachine:
     def result(self, id: bytes, status: int, result: dict[str, Any] | None, now_s: float) -> list[Effect]:
         """A goal has ended, with a status of action_msgs/GoalStatus; 0: the server does not know it."""
         self._orphans.pop(id, None)
-        states: dict[int, GoalState] = {SUCCEEDED: "succeeded", CANCELED: "canceled", ABORTED: "aborted"}
-        state = states.get(status)
+        state = ENDS.get(status)
         if state is None:
             return self._lose(id, f"the server of {self.name} does not know its goal: it was restarted", now_s)
         return self._over(id, state, "", result, now_s)
@@ -230,16 +246,24 @@ class GoalMachine:
     def listed(self, goals: Iterable[tuple[bytes, int]], now_s: float) -> list[Effect]:
         """The server tells which goals it knows, with a status of each."""
         for id, status in goals:
+            flight = self._flight
             if status not in ACTIVE:
                 self._orphans.pop(id, None)
-            elif id.startswith(self.mark) and (self._flight is None or self._flight.id != id):
+                if flight is not None and flight.id == id and flight.accepted:
+                    flight.listed_as = ENDS.get(status)
+                    flight.result_due_s = flight.result_due_s or now_s + RESULT_S
+            elif flight is not None and flight.id == id:
+                continue
+            elif id.startswith(self.mark) and self._alone_s is None:
+                # Without an agent it may be one of the next life, which has a keeper of its own.
                 self._orphans.setdefault(id, _Cancelling(now_s, now_s))
         return self._settle(now_s)
 
     # What follows ------------------------------------------------------------------------------------------------
 
     def _wants(self, flight: _Flight) -> bool:
-        return self._wanted is not None and self._wanted.key == flight.key and self._wanted.fields is not None
+        wanted = self._wanted
+        return wanted is not None and wanted.fields is not None and _is_of(flight.fields, flight.key, wanted)
 
     def _over(self, id: bytes, state: GoalState, text: str, result: Any, now_s: float) -> list[Effect]:
         flight = self._flight
@@ -247,13 +271,13 @@ class GoalMachine:
             return self._settle(now_s)
         self._flight = None
         wanted = self._wanted
-        if wanted is None or wanted.key != flight.key:
+        if wanted is None or not _is_of(flight.fields, flight.key, wanted):
             return [Tell(flight.key, "held", text, result), *self._settle(now_s)]
         if wanted.fields is not None and flight.cancelling is not None and state != "succeeded":
             # It was cancelled while no command came, and is wanted again by now.
             return [Tell(flight.key, "held", text, result), *self._settle(now_s)]
-        self._ended = told = Tell(flight.key, state, text, result)
-        self._wanted = None
+        told = Tell(flight.key, state, text, result)
+        self._wanted, self._ended = None, (told, flight.fields)
         return [told, *self._settle(now_s)]
 
     def _settle(self, now_s: float) -> list[Effect]:
@@ -266,17 +290,22 @@ class GoalMachine:
         wanted = self._wanted
         if self._flight is None and wanted is not None:
             if wanted.fields is None:
-                self._wanted, self._ended = None, Tell(wanted.key, "canceled")
-                effects.append(self._ended)
+                told = Tell(wanted.key, "canceled")
+                self._wanted, self._ended = None, (told, wanted.goal)
+                effects.append(told)
             elif why := self._obstacle(now_s):
                 if now_s - wanted.since_s >= TELL_WAITING_S and why != wanted.told_waiting:
                     wanted.told_waiting = why
                     effects += [Tell(wanted.key, "waiting", why), Warn(why)]
             elif self._ready_s is not None and now_s - self._ready_s >= SETTLED_S:
                 id = self.mark + self.draw()
-                self._flight, self._ended = _Flight(wanted.key, id, now_s), None
+                self._flight, self._ended = _Flight(wanted.key, id, wanted.fields, now_s), None
                 effects.append(Send(id, wanted.fields))
-        elif self._flight is not None and wanted is not None and wanted.key != self._flight.key:
+        elif (
+            self._flight is not None
+            and wanted is not None
+            and not _is_of(self._flight.fields, self._flight.key, wanted)
+        ):
             why = f"the goal before it at {self.name} has not ended"
             if now_s - wanted.since_s >= TELL_WAITING_S and why != wanted.told_waiting:
                 wanted.told_waiting = why
@@ -309,7 +338,10 @@ class GoalMachine:
         if not flight.accepted and now_s - flight.sent_s >= ANSWER_S:
             return self._lose(flight.id, f"the server of {self.name} does not answer", now_s)
         if flight.result_due_s is not None and now_s >= flight.result_due_s:
-            return self._lose(flight.id, f"the server of {self.name} gives no result of it", now_s)
+            why = f"the server of {self.name} gives no result of it"
+            if flight.listed_as is not None:
+                return self._over(flight.id, flight.listed_as, why, None, now_s)
+            return self._lose(flight.id, why, now_s)
         if not self._wants(flight):
             flight.cancelling = flight.cancelling or _Cancelling(now_s, now_s)
         if flight.cancelling is not None:

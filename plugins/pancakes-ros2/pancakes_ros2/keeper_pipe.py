@@ -14,7 +14,7 @@ from pancakes_ros2.goal_packets import GoalState
 _T = TypeVar("_T")
 _HEAD: Final = 4
 MOST_BACKLOG: Final = 1 << 20
-"""So many bytes wait at most for a process that does not read."""
+"""While so many bytes wait for a process that does not read, no more are taken. No goal is longer."""
 
 
 class Setup(msgspec.Struct, frozen=True):
@@ -50,6 +50,12 @@ class Command(msgspec.Struct, frozen=True, tag="command"):
     until_s: float
 
 
+class Again(msgspec.Struct, frozen=True, tag="again"):
+    """The goal of the command before is still wanted, until then: a goal may be long, and is repeated often."""
+
+    until_s: float
+
+
 class Hold(msgspec.Struct, frozen=True, tag="hold"):
     """No goal is wanted any more."""
 
@@ -73,6 +79,10 @@ class Warned(msgspec.Struct, frozen=True, tag="warning"):
 
 class Ready(msgspec.Struct, frozen=True, tag="ready"):
     """It takes orders now."""
+
+
+class Alive(msgspec.Struct, frozen=True, tag="alive"):
+    """It is at work."""
 
 
 class Failure(msgspec.Struct, frozen=True, tag="failure"):
@@ -107,6 +117,11 @@ class PipeWriter:
         self._backlog += len(data).to_bytes(_HEAD, "big") + data
         self.flush()
         return True
+
+    @property
+    def waits(self) -> bool:
+        """Whether something waits to be written: `flush` is to be called again soon."""
+        return bool(self._backlog)
 
     def flush(self) -> None:
         """Writes what waits, as far as there is room for it.

@@ -23,7 +23,7 @@ LOOK_S: Final = 0.1
 MOST_CALLS: Final = 64
 
 
-@dataclass
+@dataclass(eq=False)
 class _Waiting:
     """A call without an answer yet.
 
@@ -31,12 +31,14 @@ class _Waiting:
         call, task: the call, and whose it is.
         until_s: when it is given up, by the mission clock.
         sent: whether it is on its way.
+        future: gets the answer; used in the node's thread.
     """
 
     call: Call
     task: str
     until_s: float
     sent: bool = False
+    future: Any = None
 
 
 class RosCall(Actuator):
@@ -107,6 +109,7 @@ class RosCall(Actuator):
                 none = f"there is no service {name}: start it, or name the one that the robot has"
                 late = f"the service {name} has not answered within {self.settings.timeout_s:g} s; whether the call had"
                 self._answer(waiting, None, f"{late} an effect is not known" if waiting.sent else none)
+                node.do(partial(self._forget, waiting))
             elif not waiting.sent:
                 node.do(partial(self._call, waiting), partial(self._refused, waiting))
         if self._waiting:
@@ -139,7 +142,14 @@ class RosCall(Actuator):
         request = self._kind.Request()
         fill(request, waiting.call.fields)
         waiting.sent = True
-        client.call_async(request).add_done_callback(partial(self._answered, waiting))
+        waiting.future = client.call_async(request)
+        waiting.future.add_done_callback(partial(self._answered, waiting))
+
+    def _forget(self, waiting: _Waiting, node: Any) -> None:
+        """Let go of a call that is given up: ROS 2 would keep it for ever."""
+        waiting.sent = True  # nor is it made, if that was asked for before
+        if self._client is not None and waiting.future is not None:
+            self._client.remove_pending_request(waiting.future)
 
     def _refused(self, waiting: _Waiting, text: str) -> None:
         self.context.call(partial(self._answer, waiting, None, f"it is no call of {self.settings.service}: {text}"))
