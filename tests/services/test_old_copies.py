@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Any
 
 import pytest
 from msgspec.structs import replace
@@ -12,11 +13,10 @@ from services.strangers import identity, owns, tell
 from pancakes.control import Adopt, Describe, Migrate, Restart, Start
 from pancakes.durable import questions
 from pancakes.durable.messages import REGISTRAR, BootRemembered, Known
-from pancakes.durable.questions import copied_task
+from pancakes.durable.questions import Finding, copied_task
 from pancakes.durable.record import TaskId
 from pancakes.durable.register import Epoch, Identity, Register
 from pancakes.durable.register_messages import KnownCame
-from pancakes.kernel.mailbox import tell as actor_tell
 from pancakes.packet import NETWORK
 from pancakes.testing import AgentHandle, Fleet
 
@@ -209,7 +209,7 @@ def test_an_answer_counts_only_of_an_agent_that_may_give_it(fleet: Fleet, monkey
     else:
         monkeypatch.setattr(a.kernel.access, "fault", lambda peer, *of: "it may not" if peer in "bc" else "")
     for who, known in made:
-        actor_tell(a.kernel.actor("client"), KnownCame(who, known))
+        assert a.kernel.tell("client", KnownCame(who, known))
     fleet.run_for(2.0)
     assert state(a) == ("stopped", "old copy"), "both knew of a later owner"
 
@@ -218,8 +218,13 @@ def test_what_waits_looks_at_each_task_a_few_times_a_second(fleet: Fleet, monkey
     for number in range(18):
         monkeypatch.setitem(TASKS, f"Sink{number}", Sink)
     a = silent(fleet)
-    looks: list[object] = []
-    monkeypatch.setattr(questions, "copied_task", lambda *args: looks.append(args) or copied_task(*args))
+    looks: list[Epoch] = []
+
+    def counted(epoch: Epoch, *others: Any) -> Finding:
+        looks.append(epoch)
+        return copied_task(epoch, *others)
+
+    monkeypatch.setattr(questions, "copied_task", counted)
     fleet.run_for(3.0)
     assert state(a, "Sink0") == ("stopped", "old copy")
     assert 0 < len(looks) <= 3 * 20 * 5
