@@ -15,7 +15,7 @@ from pancakes.durable import questions
 from pancakes.durable.messages import REGISTRAR, BootRemembered, Known
 from pancakes.durable.questions import Finding, copied_task
 from pancakes.durable.record import TaskId
-from pancakes.durable.register import Epoch, Identity, Register
+from pancakes.durable.register import MORE_THAN_MIGRATIONS, Epoch, Identity, Register
 from pancakes.durable.register_messages import KnownCame
 from pancakes.packet import NETWORK
 from pancakes.testing import AgentHandle, Fleet
@@ -236,6 +236,21 @@ def test_a_person_has_one_of_them_go_on(fleet: Fleet):
     assert a.ask(Adopt("Sink")).ok
     fleet.run_for(0.5)
     assert state(a)[0] == "running" and state(a, "Other") == ("stopped", "old copy")
+
+
+def test_a_persons_word_outdoes_an_owner_that_another_person_has_made(fleet: Fleet):
+    """The task waits for b and c, and d owns it under an epoch that a person has raised."""
+    a = silent(fleet)
+    fleet.start("d")
+    fleet.connect()
+    theirs = owns(fleet, "d", TASK, MORE_THAN_MIGRATIONS + 500)
+    tell(fleet, "d", "a", theirs)
+    fleet.run_for(0.5)
+    assert state(a) == ("stopped", "disputed")
+    assert a.ask(Adopt("Sink")).ok
+    tell(fleet, "d", "a", theirs)
+    fleet.run_for(0.5)
+    assert state(a)[0] == "running"
 
 
 # Forged messages ---------------------------------------------------------------------------------------------------
