@@ -206,8 +206,10 @@ class Answers:
     def tell_all(self, service: Reference) -> None:
         """Tell a service that has begun what other agents claim."""
         for peer, claims in self._claims.by_peer().items():
-            by = next(iter(claims.values())).register.owner
-            tell(service, KnownCame(peer, Known(by, (), tuple(claims.values()))))
+            # Some may be of a disk that it had before.
+            for by in dict.fromkeys(claim.register.owner for claim in claims.values()):
+                theirs = tuple(claim for claim in claims.values() if claim.register.owner == by)
+                tell(service, KnownCame(peer, Known(by, (), theirs)))
         for peer in sorted(self._say_so):
             tell(service, CopyNoticed(peer))
 

@@ -239,8 +239,9 @@ class Arrivals:
             # What it sent from another agent goes on from here under its address here, as no agent takes it otherwise,
             # and with stamps of the mission time here.
             posted = posted.of_agent(self._host.agent, kernel.restamped)
-            kernel.tell(COURIER, SendUnsent())
         self._host.outbox.arrive(str(place.task_id), posted, fresh, kernel.host.now())
+        if posted is not None:
+            kernel.tell(COURIER, SendUnsent())
         if place.came_from:
             place.ask_again_s = self._host.kernel.host.now() + SETTLE_S
             state = in_brief(snapshot.state)

@@ -124,7 +124,7 @@ class Recoveries:
         """
         host = self._host
         for place in self._disputes.copied.undecided(body.target):
-            if body.birthplace in ("", place.task_id.birthplace):
+            if not place.record.disputed and body.birthplace in ("", place.task_id.birthplace):
                 record, why = place.record, f"{request.by} says that it runs nowhere else"
                 self._run_here(place.task_id, record.snapshot, record.seen.n, "", why, body.dry_run, request)
                 return

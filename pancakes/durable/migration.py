@@ -250,8 +250,15 @@ class Mover:
                 f"{slot.address} cannot move: the Network Service of {host.agent} is stopped", "unable"
             )
         self._asks += 1
-        snapshot = replace(Snapshot.decode(place.record.snapshot), version=slot.spec.version)
         try:
+            snapshot = replace(
+                Snapshot.decode(place.record.snapshot),
+                # What it is now. The last checkpoint may be of an older version of its class.
+                type=slot.spec.type,
+                version=slot.spec.version,
+                service=host.name,
+                requires=slot.spec.cls.requires,
+            )
             request = snapshot.solicit(self._asks, body.cost, slot.spec.rule)
         except MigrationError as error:
             raise ControlRefusedError(

@@ -8,7 +8,7 @@ is an old copy before its tasks go on (`CopiedTasks`). `Disputes` tells of other
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from enum import Enum
 from typing import TYPE_CHECKING, Final
 
@@ -160,12 +160,28 @@ class Questions:
                 told.asked_s = self._host.kernel.host.now()
             self._host.kernel.tell(REGISTRAR, AskAbout(tuple(peers), tuple(task_ids)))
 
-    def ask_again(self, task_ids: Sequence[TaskId], peers: Sequence[str]) -> None:
-        """Ask those agents once more that have not told of all tasks."""
+    def ask_again(self, task_id: TaskId, waiting: Callable[[], Sequence[TaskId]], peers: Sequence[str]) -> None:
+        """Ask those agents once more that have not told of all tasks, if it is time for one that waits.
+
+        Args:
+            task_id: the task that waits.
+            waiting: returns all tasks that wait. It is called at most once in `ASK_AGAIN_S`, however many these are.
+            peers: the agents.
+        """
         due_s = self._host.kernel.host.now() - ASK_AGAIN_S
-        due = [task_id for task_id in task_ids if task_id in self._told and self._told[task_id].asked_s <= due_s]
+        if (told := self._told.get(task_id)) is None or told.asked_s > due_s:
+            return
+        due = [it for it in waiting() if it in self._told and self._told[it].asked_s <= due_s]
+        for it in due:
+            self._told[it].asked_s = self._host.kernel.host.now()
         if silent := [peer for peer in peers if any(peer not in self._told[it].by for it in due)]:
             self.ask(due, silent)
+
+    def forget(self, task_ids: Iterable[TaskId]) -> None:
+        """Forget what was told of tasks: that is old by the time at which it is asked again."""
+        for task_id in task_ids:
+            if task_id not in self._inquiries:
+                self._told.pop(task_id, None)
 
     def inquire(self, task_id: TaskId, type_name: str, done: Done) -> None:
         """Ask all neighbours about a task, and call `done` once all have answered, or the time is over."""
@@ -193,13 +209,14 @@ class Questions:
         for task_id in known.task_ids:
             if (told := self._told.get(task_id)) is None:
                 continue
-            told.by.add(peer)
             facts = [fact for fact in known.facts if fact.task_id == task_id]
-            if not facts:
-                pass
-            elif not (fault := self.fault(peer, told.type)):
+            fault = self.fault(peer, told.type) if facts else ""
+            if fault and peer not in self._mesh.neighbours():
+                continue  # its link has ended since, and what it may do is not known; it is asked again
+            told.by.add(peer)
+            if facts and not fault:
                 told.known[peer] = max([*facts, told.known.get(peer, facts[0])], key=lambda fact: fact.epoch)
-            elif self._unbelieved.is_news(peer, f"{task_id} {fault}"):
+            elif fault and self._unbelieved.is_news(peer, f"{task_id} {fault}"):
                 self._host.log("warning", f"{peer} says that it knows {task_id}, and is not believed: {fault}")
             peers, done = self._inquiries.get(task_id, ([], None))
             if done is not None and told.by.issuperset(peers):
@@ -314,7 +331,7 @@ class Births:
         if starts:
             self._tell(slot, place, birth)
             if birth.verdict is Verdict.WAITS:
-                self._questions.ask_again(self._names(), self._mesh.neighbours())
+                self._questions.ask_again(place.task_id, self._names, self._mesh.neighbours())
         return self._unsure(slot, place, birth)
 
     def undecided(self, name: str) -> list[Lost]:
@@ -330,6 +347,11 @@ class Births:
                     read = place.record if place.record.goes_on else None
                     found.append(Lost(place.task_id, unsure.why, read, heard=max([place.record.seen, *heard])))
         return found
+
+    def is_known(self, task_id: TaskId) -> None:
+        """A task is born, or is known by now."""
+        if (unborn := self._unborn.pop(task_id, None)) is not None:
+            self._questions.forget(unborn.task_ids)
 
     # Looking ---------------------------------------------------------------------------------------------------
 
@@ -434,7 +456,7 @@ class Births:
         for task_id in list(self._unborn):
             place = self._host.places.get(task_id)
             if place is None or not self._may_be_born(place):
-                del self._unborn[task_id]
+                self.is_known(task_id)
             elif place.slot is not None and place.slot.life.state is State.REFUSED:
                 found.append((place.slot, place))
         return found
@@ -512,6 +534,8 @@ class CopiedTasks:
         """Another agent has told what it knows."""
         if peer in self._sayers:
             for place in filter(None, map(self._host.places.get, known.task_ids)):
+                if self._questions.fault(peer, _type_of(place)):  # it may not say so any more: the task waits on
+                    self._questions.about(place.task_id, place).by.discard(peer)
                 self._look_again(place)
 
     def of(self, place: Place) -> Unsure | None:
@@ -525,8 +549,7 @@ class CopiedTasks:
             f" {place.task_id} may be elsewhere by now: it is paused until {', '.join(copied.missing)} told what"
             f" they know of it. `pancakes task recover {name} --here` has it go on here"
         )
-        waiting = [it.task_id for it in self._waiting()]
-        self._questions.ask_again(waiting, sorted(self._sayers))
+        self._questions.ask_again(place.task_id, lambda: [it.task_id for it in self._waiting()], sorted(self._sayers))
         return Unsure(OLD_COPY, why)
 
     def undecided(self, name: str) -> list[Place]:
@@ -685,6 +708,7 @@ class Disputes:
     def became_owner(self, place: Place) -> None:
         """This agent owns a task from now on, or under another epoch."""
         self.copied.became_owner(place)
+        self.births.is_known(place.task_id)
         other = place.other
         if other is not None and other.epoch < place.record.epoch:
             place.other = None  # it owned the task before

@@ -55,7 +55,8 @@ def fault_of_room(peer: str, kind: str, others: Iterable[Record], size: int) -> 
         others: the records of all other tasks.
         size: how many bytes of it would be kept.
     """
-    counts, sizes = _kept(others)
+    # An owner says many times a second that it has a task, and only what is of the same peer counts.
+    counts, sizes = _kept(record for record in others if record.seen.minter.agent == peer)
     count, held = counts[peer, kind], sizes[peer, kind]
     if count >= (MOST_OFFERED if kind == IN_DOUBT else MOST_GUARDED) or (count and held + size > MOST_BYTES):
         if kind == IN_DOUBT:

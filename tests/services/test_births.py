@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 from collections.abc import Iterator
 from typing import Any
 
@@ -9,11 +10,11 @@ import pytest
 from services.numbered import Sink
 from services.strangers import identity, owns, say, tell
 
-from pancakes.control import Adopt, Describe, Forget, Migrate, Start, Stop
+from pancakes.control import Adopt, Describe, Forget, Migrate, Restart, Start, Stop
 from pancakes.durable.answers import Answers
-from pancakes.durable.messages import Accept, Fact, Prepare, WhoHas
+from pancakes.durable.messages import Accept, Fact, Known, Prepare, WhoHas
 from pancakes.durable.record import TaskId
-from pancakes.durable.register import NO_EPOCH, Epoch, Register
+from pancakes.durable.register import NO_EPOCH, Epoch, Identity, Register
 from pancakes.durable.rules import NO_WRITE
 from pancakes.testing import AgentHandle, Fleet
 
@@ -319,6 +320,19 @@ def test_an_agent_answers_for_itself_alone(fleet: Fleet):
     assert state(a) == ("stopped", "waits → tcp://b:7400")
 
 
+def test_what_was_told_of_a_task_is_forgotten_once_it_is_born(fleet: Fleet):
+    """Else each agent that ever answers leaves something, and what it said counts when the task is born again."""
+    start(fleet, "x")
+    a = start(fleet, "a", "x", tasks=SINK)
+    fleet.run_for(1.0)
+    assert a.running("client") == ["Sink"]
+    z = Identity("z")
+    says(fleet, "x", Fact(TASK, Register(Epoch(0, z), sets=((z,),))))
+    fleet.run_for(1.0)
+    gc.collect()
+    assert not [it for it in gc.get_objects() if isinstance(it, Fact) and it.owner == "z"]
+
+
 def test_an_answer_about_a_task_that_was_not_asked_about_says_nothing(fleet: Fleet):
     start(fleet, "x")
     a = start(fleet, "a", "xb", tasks=SINK)
@@ -346,6 +360,20 @@ def test_an_agent_that_asks_is_answered_once(fleet: Fleet):
     fleet.run_for(0.5)
     (after,) = [link["packets_in"] for link in x.agent.mesh.links() if link["name"] == "a"]
     assert after - before == 1
+
+
+def test_a_service_that_begins_again_is_told_what_an_agent_owns_with_each_of_its_disks(fleet: Fleet) -> None:
+    a = start(fleet, "a", tasks={"Sink": {"type": Sink, "start": False}})
+    start(fleet, "x", "a")
+    fleet.connect()
+    fleet.run_for(0.5)
+    other, before = TaskId("x", "Other"), Identity("x", "its disk before")
+    say(fleet, "x", Known(before, (), (Fact(other, Register(Epoch(3, before), sets=((before,),))),)), "a")
+    says(fleet, "x", owns(fleet, "x", TASK))
+    assert a.ask(Restart("client")).ok
+    fleet.run_for(0.5)
+    refused = a.ask(Start("Sink"))
+    assert not refused.ok and "x owns a/Sink" in refused.reason
 
 
 @pytest.mark.parametrize("how", ["asks for a promise", "names it a member"])

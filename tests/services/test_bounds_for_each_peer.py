@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import random
+from typing import ClassVar
 
 import pytest
 from services.counting import Count
@@ -11,13 +12,14 @@ from services.numbered import Sink
 from services.strangers import ask_for_room, heard_by, identity, offer, owns, room, say, tell
 
 from pancakes.control import Describe, Follow, Reply
+from pancakes.durable import quotas
 from pancakes.durable.delivery import Letter
 from pancakes.durable.host_state import MOST_SLOTS
 from pancakes.durable.hosting import MOST_GIVEN, MOST_GIVEN_BYTES, TaskLetters
 from pancakes.durable.messages import Bid, BootRemembered, Fact, Known, Refuse
 from pancakes.durable.quotas import MOST_OFFERED
-from pancakes.durable.record import TaskId
-from pancakes.durable.register import Epoch, Identity
+from pancakes.durable.record import Record, TaskId
+from pancakes.durable.register import Epoch, Identity, Register, Standing
 from pancakes.durable.rules import MOST_STEP
 from pancakes.durable.times import Times
 from pancakes.mesh.memory_network import Quality
@@ -81,6 +83,30 @@ def test_tasks_that_were_brought_and_taken_back_leave_a_bounded_number_of_marks(
     assert len([it for it in b.agent.records.all() if it.birthplace == "c"]) == 5
     assert "remembers 5 tasks of c, and no more" in {it.refusal.text for it in declined}
     assert [line for line in b.lines("warning") if "remembers 5 tasks of c, and no more" in line], "doctor tells that"
+
+
+class Looked(Record, frozen=True):
+    """A record that says when it is looked at closely."""
+
+    looks: ClassVar[list[TaskId]] = []
+
+    @property
+    def standing(self):
+        self.looks.append(self.task_id)
+        return Standing.MEMBER
+
+
+def test_only_what_is_kept_of_the_same_peer_is_counted(monkeypatch):
+    """An owner says several times a second that it has a task: what others have brought makes that no slower."""
+    me = Identity("me")
+    kept = [
+        Looked(TaskId(peer, f"T{number}"), Register(Epoch(1, Identity(peer)), sets=((Identity(peer), me),)), me)
+        for peer in "abc"
+        for number in range(3)
+    ]
+    monkeypatch.setattr(quotas, "MOST_GUARDED", 3)
+    assert quotas.fault_of_room("a", quotas.GUARDED, kept, 0) == "guards 3 tasks of a already (0 bytes), and no more"
+    assert {it.birthplace for it in Looked.looks} == {"a"}
 
 
 def test_an_epoch_that_no_task_comes_to_is_not_taken(fleet):

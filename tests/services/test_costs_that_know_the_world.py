@@ -137,6 +137,15 @@ def test_bidders_are_told_what_the_class_offers_and_no_more(robots: Fleet):
     assert asked[1].offer == b"", "the core's functions know nothing of the task"
 
 
+def test_bidders_are_asked_for_what_the_class_needs_now(robots: Fleet, monkeypatch: pytest.MonkeyPatch):
+    """Its last checkpoint may be of an older version."""
+    asked: list[Solicit] = []
+    robots.agents["b"].kernel.stream.tap("network", lambda packet: asked.append(packet.body), ("migration.solicit",))
+    monkeypatch.setattr(robots.agents["a"].slot("Patrol").spec.cls, "requires", ("motors",))
+    robots.agents["a"].ask(Migrate("Patrol", dry_run=True))
+    assert asked[0].requires == ("motors",)
+
+
 def one(cost: type[Cost], task: type[Task] = Patrol, **others: Any) -> str:
     """Returns why the only neighbour refuses."""
     with Fleet(4, classes={"test.Patrol": task, "odd": cost}) as fleet:

@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Any
 
 import pytest
 from msgspec.structs import replace
 from services.numbered import Sink
-from services.strangers import owns, tell
+from services.strangers import identity, owns, tell
 
 from pancakes.control import Adopt, Describe, Migrate, Restart, Start
-from pancakes.durable.messages import REGISTRAR, BootRemembered
+from pancakes.durable import questions
+from pancakes.durable.messages import REGISTRAR, BootRemembered, Known
+from pancakes.durable.questions import Finding, copied_task
 from pancakes.durable.record import TaskId
-from pancakes.durable.register import Epoch, Identity, Register
+from pancakes.durable.register import MORE_THAN_MIGRATIONS, Epoch, Identity, Register
+from pancakes.durable.register_messages import KnownCame
 from pancakes.packet import NETWORK
 from pancakes.testing import AgentHandle, Fleet
 
@@ -160,9 +164,9 @@ def test_an_agent_with_a_new_disk_is_no_copy_and_its_old_disk_is_one(fleet: Flee
 # Until they have told ----------------------------------------------------------------------------------------------
 
 
-def silent(fleet: Fleet) -> AgentHandle:
+def silent(fleet: Fleet, text: str = "") -> AgentHandle:
     """Agents b and c say that a has an old copy for a disk, and answer nothing."""
-    begun(fleet, "bc")
+    begun(fleet, "bc", text)
     for name in "bc":
         registrar = fleet.agents[name].component(REGISTRAR)
         assert registrar is not None
@@ -193,12 +197,60 @@ def test_until_they_have_told_all_its_tasks_stand_still_and_it_says_why(fleet: F
     assert state(a)[0] == state(a, "Other")[0] == "running", "they are asked again, and tell"
 
 
+@pytest.mark.parametrize("ends", ["its link", "its right"])
+def test_an_answer_counts_only_of_an_agent_that_may_give_it(fleet: Fleet, monkeypatch: pytest.MonkeyPatch, ends: str):
+    """That ends after the registrar has taken the answer, and before the service looks at it."""
+    a = silent(fleet, ALLOWED.replace('"publish"', '"publish", "host"'))
+    made = [(who, Known(identity(fleet, who), (TASK,), (owns(fleet, who, TASK),))) for who in "bc"]
+    if ends == "its link":
+        for who, _ in made:
+            fleet.crash(who)
+        fleet.run_for(0.5)
+    else:
+        monkeypatch.setattr(a.kernel.access, "fault", lambda peer, *of: "it may not" if peer in "bc" else "")
+    for who, known in made:
+        assert a.kernel.tell("client", KnownCame(who, known))
+    fleet.run_for(2.0)
+    assert state(a) == ("stopped", "old copy"), "both knew of a later owner"
+
+
+def test_what_waits_looks_at_each_task_a_few_times_a_second(fleet: Fleet, monkeypatch: pytest.MonkeyPatch):
+    for number in range(18):
+        monkeypatch.setitem(TASKS, f"Sink{number}", Sink)
+    a = silent(fleet)
+    looks: list[Epoch] = []
+
+    def counted(epoch: Epoch, *others: Any) -> Finding:
+        looks.append(epoch)
+        return copied_task(epoch, *others)
+
+    monkeypatch.setattr(questions, "copied_task", counted)
+    fleet.run_for(3.0)
+    assert state(a, "Sink0") == ("stopped", "old copy")
+    assert 0 < len(looks) <= 3 * 20 * 5
+
+
 def test_a_person_has_one_of_them_go_on(fleet: Fleet):
     a = silent(fleet)
     assert a.ask(Adopt("Sink", dry_run=True)).ok and state(a) == ("stopped", "old copy")
     assert a.ask(Adopt("Sink")).ok
     fleet.run_for(0.5)
     assert state(a)[0] == "running" and state(a, "Other") == ("stopped", "old copy")
+
+
+def test_a_persons_word_outdoes_an_owner_that_another_person_has_made(fleet: Fleet):
+    """The task waits for b and c, and d owns it under an epoch that a person has raised."""
+    a = silent(fleet)
+    fleet.start("d")
+    fleet.connect()
+    theirs = owns(fleet, "d", TASK, MORE_THAN_MIGRATIONS + 500)
+    tell(fleet, "d", "a", theirs)
+    fleet.run_for(0.5)
+    assert state(a) == ("stopped", "disputed")
+    assert a.ask(Adopt("Sink")).ok
+    tell(fleet, "d", "a", theirs)
+    fleet.run_for(0.5)
+    assert state(a)[0] == "running"
 
 
 # Forged messages ---------------------------------------------------------------------------------------------------

@@ -5,7 +5,7 @@ from services.numbered import SINK, Moody, Numbered, Picky, Sink, Source, fails,
 
 from pancakes.control import Describe, Migrate, Restart, Start, Stop
 from pancakes.durable.courier import COURIER, Say
-from pancakes.durable.delivery import Letter
+from pancakes.durable.delivery import Letter, SendUnsent
 from pancakes.errors import LocalProtocolError, MailboxFullError
 from pancakes.mesh.codec import encode_packet
 from pancakes.mesh.memory_network import Quality
@@ -316,3 +316,26 @@ class TestFinding:
         moved.crash("a")
         moved.agents["b"].publish("system", Numbered(1), to=SINK)
         assert moved.run_until(lambda: numbers(moved) == [1], 0.05)
+
+
+def test_what_a_sender_brings_is_sent_however_soon_the_courier_looks(fleet, monkeypatch):
+    """In threads of its own the courier may deal with what it is told before its teller goes on."""
+    a = fleet.start("a", tasks={"Sink": {"type": Sink, "start": False}, "Source": Source})
+    b = fleet.start("b", classes={"Source": Source})
+    fleet.connect()
+    fleet.run_for(0.2)
+    courier, told = b.component(COURIER), b.kernel.tell
+
+    def tell_at_once(name, message):
+        if name == COURIER and isinstance(message, SendUnsent):
+            courier.take_message(message)
+            return True
+        return told(name, message)
+
+    monkeypatch.setattr(b.kernel, "tell", tell_at_once)
+    assert a.ask(Migrate("Source", to="b")).ok
+    assert b.ask(Stop("Source")).ok
+    assert a.ask(Start("Sink")).ok
+    fleet.run_for(5.0)
+    assert numbers(fleet)[:5] == upto(5)
+    assert not b.agent.outbox.waiting()
