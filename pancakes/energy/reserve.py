@@ -191,6 +191,8 @@ class ReserveMeter(Task):
         def __post_init__(self) -> None:
             if self.detour < 1.0:
                 raise ValueError(f"detour = {self.detour:g}: no way is shorter than a straight line, so at least 1")
+            if self.idle_home_m is not None and not self.idle:
+                raise ValueError("idle_home_m has no effect without idle, the task that drives the robot there")
 
     @dataclass
     class State:

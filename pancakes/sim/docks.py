@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from itertools import combinations
 from typing import Literal, Protocol
 
 from pancakes.devices import DockState
@@ -44,8 +45,11 @@ def check_docks(docks: Mapping[str, DockSettings], bodies: Iterable[str], half_x
         half_y_m: the same along y.
 
     Raises:
-        ValueError: a name is that of a body, or a dock is not in the arena.
+        ValueError: a name is that of a body, a dock is not in the arena, or a robot would stand at two docks at once.
     """
+    for (one, first), (other, second) in combinations(docks.items(), 2):
+        if math.dist((first.x_m, first.y_m), (second.x_m, second.y_m)) < min(first.reach_m, second.reach_m):
+            raise ValueError(f"{one} and {other} are at the same place, ({first.x_m}, {first.y_m}) m: move one of them")
     taken = frozenset(bodies)
     for name, dock in docks.items():
         if name in taken:

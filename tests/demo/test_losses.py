@@ -48,6 +48,10 @@ def test_the_first_hours_of_a_longer_mission_have_the_same_losses() -> None:
         ({"agents": ()}, "needs an agent"),
         ({"earliest_s": 2200.0}, "cannot be between 2200 and 2100 s"),
         ({"away_s": 1600.0}, "must be back before the next one is lost"),
+        ({"away_s": -1.0}, "cannot be away for -1 s"),
+        ({"away_s": math.nan}, "cannot be away for nan s"),
+        ({"every_s": math.nan}, "must be back before the next one is lost"),
+        ({"earliest_s": 0.0, "latest_s": 0.0, "away_s": 0.0, "every_s": 0.0}, "every_s is too short"),
     ],
 )
 def test_a_loss_that_cannot_be_is_refused_with_a_sentence(fault: dict[str, object], what: str) -> None:

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import math
+from typing import Any
+
 import pytest
 
 from pancakes.devices import Battery, Reserve
-from pancakes.energy.reserve import ChargeWatch, Consumption, nearest
+from pancakes.energy.reserve import ChargeWatch, Consumption, ReserveMeter, nearest
+from pancakes.settings import SettingsError, make_settings
 
 
 def drives(consumption: Consumption, seconds: int, per_s: float, speed_mps: float, level: float = 1.0) -> float:
@@ -88,3 +92,16 @@ def test_the_nearest_dock_ties_by_address() -> None:
 
 def test_a_longer_way_takes_from_the_reserve() -> None:
     assert Reserve(100.0, 0.5, level_per_s=0.001, level_per_m=0.01).seconds_after(5.0) == pytest.approx(50.0)
+
+
+@pytest.mark.parametrize(
+    ("change", "what"),
+    [
+        ({"detour": 0.5}, "no way is shorter than a straight line"),
+        ({"idle_home_m": [0.0, 0.0]}, "idle_home_m has no effect without idle"),
+        ({"idle": "Charge", "idle_home_m": [math.nan, 0.0]}, r"idle_home_m\[0\]: is not a number"),
+    ],
+)
+def test_settings_that_cannot_be_are_refused_with_a_sentence(change: dict[str, Any], what: str) -> None:
+    with pytest.raises(SettingsError, match=what):
+        make_settings(ReserveMeter.Settings, {"level_per_m": 0.1, **change})

@@ -72,7 +72,7 @@ WHERE: dict[tuple[str, str], str] = {
     ("docs/discovery.md", "pancakes"): "not run: needs two machines; tests/net/test_dns_sd_live.py",
     ("docs/discovery.md", "from pancakes import Client"): "not run: tests/examples has the whole program",
     ("docs/endless.md", "pip install"): "not run: takes minutes; tests/robotarium/test_endless_*.py run pieces of it",
-    ("docs/endless.md", "pancakes demo endless --seeds"): "not run: takes hours; tests/robotarium has half an hour",
+    ("docs/endless.md", "pancakes demo endless --seeds"): "not run: takes hours; tests/robotarium has twenty minutes",
     ("docs/energy.md", "pancakes demo energy"): "not run: takes minutes; tests/demo/test_energy_demo.py has it",
     ("docs/filters.md", "pancakes param set"): "not run: tests/filters changes settings while wheels run",
     ("docs/filters.md", "from dataclasses"): f"{HERE}.test_filter_of_the_guide_holds",

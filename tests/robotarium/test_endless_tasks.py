@@ -128,7 +128,13 @@ def test_patrol_leaves_out_a_place_that_it_does_not_reach(fleet: Fleet) -> None:
 
 
 @pytest.mark.parametrize(
-    ("waypoints", "what"), [([], "two waypoints or more"), ([[0, 0], [math.nan, 0]], "must have numbers")]
+    ("waypoints", "what"),
+    [
+        ([], "two waypoints or more"),
+        ([[1, 0], [1, 0]], "two waypoints or more, in different places"),
+        ([[0, 0], [math.nan, 0]], "is not a number"),
+        ([[0, 0], [math.inf, 0]], "is not finite"),
+    ],
 )
 def test_patrol_without_places_is_refused(waypoints: list[Any], what: str) -> None:
     with pytest.raises(SettingsError, match=what):

@@ -24,7 +24,7 @@ Where = Callable[[int], tuple[float, float]]
 
 
 def rounds(time_s: int) -> tuple[float, float]:
-    return 0.25 * math.cos(0.3 * time_s), 0.25 * math.sin(0.3 * time_s)
+    return 0.25 * math.cos(0.3 * time_s), -0.25 * math.sin(0.3 * time_s)
 
 
 def to_and_fro(time_s: int) -> tuple[float, float]:
@@ -84,7 +84,14 @@ def test_first_half_minute_does_not_count() -> None:
 def test_robot_that_is_far_from_its_circle_does_not_serve_it() -> None:
     paths = {**good_paths(), "a": path(lambda t: (1.2, 0.5 + 0.4 * math.sin(0.3 * t)), lambda t: "Ring")}
     summary, reasons = judged(paths)
-    assert summary["tasks"]["Ring"] == {"served": 0.0, "driven": 1.0, "owners": 1, "longest_gap_s": 969.0}
+    assert summary["tasks"]["Ring"] | {"rounds": 0.0} == {
+        "served": 0.0,
+        "driven": 1.0,
+        "rounds": 0.0,
+        "due_rounds": 0.0,
+        "owners": 1,
+        "longest_gap_s": 969.0,
+    }
     assert reasons
 
 
@@ -146,7 +153,48 @@ def test_robot_that_does_not_come_back_fails_the_mission() -> None:
     lost = [event(500.0, "c", "agent_lost")]
     summary, reasons = judged(events=[*good_events(), *lost])
     assert summary["deaths"] == [{"agent": "c", "at_s": 500.0, "had": []}]
-    assert reasons == ["of 1 robots that died 0 came back"]
+    assert reasons == ["c died and did not come back"]
+
+
+def test_robot_that_was_started_again_is_back_only_once_it_is_ready() -> None:
+    lost = [event(500.0, "c", "agent_lost"), event(600.0, "c", "agent_returned")]
+    others = [event(500.0, "b", "agent_returned"), event(601.0, "b", "ready")]
+    assert judged(events=[*good_events(), *lost, *others])[1] == ["c died and did not come back"]
+    assert judged(events=[*good_events(), *lost, event(601.0, "c", "ready")])[1] == []
+
+
+def test_mission_of_which_a_part_was_not_recorded_fails() -> None:
+    """Else a task would be served for all of the few seconds that are known."""
+    short = {name: rows[:100] for name, rows in good_paths().items()}
+    assert judged(short)[1][0] == "nothing was recorded of a robot for 901 s: nobody can judge that time"
+    one = {**good_paths(), "c": good_paths()["c"][:100]}
+    assert "nothing was recorded of a robot for 901 s" in judged(one)[1][0]
+    hole = {name: rows[:400] + rows[500:] for name, rows in good_paths().items()}
+    assert "nothing was recorded of a robot for 101 s" in judged(hole)[1][0]
+
+
+def test_robot_that_turns_about_on_a_part_of_its_circle_makes_no_rounds() -> None:
+    paths = {**good_paths(), "a": path(lambda t: (0.25 + 0.1 * math.cos(t), 0.1 * math.sin(t)), lambda t: "Ring")}
+    summary, reasons = judged(paths)
+    assert summary["tasks"]["Ring"]["served"] == 1.0 and abs(summary["tasks"]["Ring"]["rounds"]) < 0.5
+    assert reasons == ["Ring was driven for 0.0 rounds, and at its speed 61.8 were due"]
+
+
+def test_robot_that_goes_round_the_wrong_way_makes_no_rounds() -> None:
+    paths = {**good_paths(), "a": path(lambda t: (rounds(t)[0], -rounds(t)[1]), lambda t: "Ring")}
+    assert judged(paths)[0]["tasks"]["Ring"]["rounds"] < 0.0
+
+
+def test_robot_that_patrols_half_of_its_route_makes_no_rounds() -> None:
+    paths = {**good_paths(), "b": path(lambda t: (0.5 * to_and_fro(t)[0], -0.5), lambda t: "Road")}
+    summary, reasons = judged(paths)
+    assert summary["tasks"]["Road"]["rounds"] == 0.0 and len(reasons) == 1 and "Road was driven" in reasons[0]
+    assert judged()[0]["tasks"]["Road"]["rounds"] == pytest.approx(25.0)
+
+
+def test_two_owners_are_found_also_before_service_counts() -> None:
+    paths = {**good_paths(), "c": path(lambda t: (0.0, 0.9), lambda t: "Ring" if t < 3 else "")}
+    assert judged(paths)[1] == ["two robots had Ring at once, for 3.00 s"]
 
 
 def test_death_of_a_robot_with_a_task_names_the_task() -> None:

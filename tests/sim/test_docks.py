@@ -81,6 +81,7 @@ def test_what_is_no_dock_or_no_robot_is_refused_with_a_sentence() -> None:
     [
         ({"here": {"x_m": 0.0, "y_m": 0.0}}, "several bodies of the name 'here'"),
         ({"dock": {"x_m": 9.0, "y_m": 0.0}}, "dock lies outside the arena"),
+        ({"one": {"x_m": 0.3, "y_m": 0.0}, "two": {"x_m": 0.35, "y_m": 0.0}}, "one and two are at the same place"),
     ],
 )
 def test_docks_are_checked(docks: dict[str, Any], fault: str) -> None:

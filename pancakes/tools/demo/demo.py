@@ -57,7 +57,9 @@ class Loss:
             raise ValueError("a loss needs an agent")
         if not 0.0 <= self.earliest_s <= self.latest_s:
             raise ValueError(f"a loss cannot be between {self.earliest_s:g} and {self.latest_s:g} s")
-        if self.latest_s + self.away_s > self.every_s:
+        if not self.away_s >= 0.0:
+            raise ValueError(f"a lost agent cannot be away for {self.away_s:g} s")
+        if not (self.every_s > 0.0 and self.latest_s + self.away_s <= self.every_s):
             raise ValueError("a lost agent must be back before the next one is lost: every_s is too short")
 
     def times(self, seed: int, duration_s: float) -> list[Death]:

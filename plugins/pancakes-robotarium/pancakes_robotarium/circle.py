@@ -8,6 +8,7 @@ from typing import Final
 
 from pancakes import CTRL, SYSTEM, NotNegative, Packet, Positive, Task, agent_of, on
 from pancakes.devices import Pose, RobotPose, Twist
+from pancakes_encirclement.laps import Laps
 
 FRESH_S: Final = 3.0
 """A subject that was not heard of for so long is nowhere."""
@@ -83,13 +84,14 @@ class Circle(Task):
     def on_start(self) -> None:
         self._arrived = False
         self._heard_s = -math.inf
-        self._bearing_rad: float | None = None
+        self._laps = Laps(self.state.revolutions)
         self.on_settings()
 
     def on_settings(self) -> None:
         """Go round the new place."""
         if self.settings.centre_m is not None:
             self.state.centre_m = self.settings.centre_m
+            self._laps.recentred()
 
     @on(SYSTEM, RobotPose)
     def subject_seen(self, packet: Packet) -> None:
@@ -118,11 +120,9 @@ class Circle(Task):
         if not self._arrived and abs(math.dist(place, centre) - self.settings.radius_m) < ON_CIRCLE_M:
             self._arrived = True
             self.event("on_circle", radius_m=math.dist(place, centre))
-        bearing_rad = math.atan2(place[1] - centre[1], place[0] - centre[0])
-        if self._arrived and self._bearing_rad is not None:
-            before = self.state.revolutions
-            swept = -math.remainder(bearing_rad - self._bearing_rad, math.tau) / math.tau
-            self.state.revolutions = max(before + swept, 0.0)
-            if math.floor(self.state.revolutions) > math.floor(before):
-                self.event("revolution", count=math.floor(self.state.revolutions))
-        self._bearing_rad = bearing_rad
+        if not self._arrived:
+            return
+        whole = self._laps.passed(place, centre)
+        self.state.revolutions = self._laps.revolutions
+        if whole:
+            self.event("revolution", count=math.floor(self.state.revolutions))

@@ -18,9 +18,11 @@ if TYPE_CHECKING:
 
 TASK_COLOURS: Final = ("#0072B2", "#E69F00", "#009E73", "#CC79A7")
 CHARGES: Final = "#8a8a8a"
-_INK, _DEAD = "#222222", "#222222"
+_INK: Final = "#222222"
 EVERY: Final = 20
 """Of so many rows of a battery one is drawn."""
+DOCKS_BELOW: Final = 0.4
+"""How far the lanes of the docks are moved away from those of the robots, for their numbers."""
 
 
 def charges_of(record: MissionRecord, end_s: float) -> list[tuple[str, Holder]]:
@@ -88,7 +90,8 @@ def draw_endless(run: Run, summary: Mapping[str, Any]) -> None:
         levels.set_xlabel("mission time in h")
         levels.set_xlim(0.0, run.ended_s / 3600.0)
         lanes.set_title(
-            f"tasks served for {100.0 * summary['served']:.2f} % of the time; deaths: {len(summary['deaths'])},"
+            f"seed {run.seed}, {run.ended_s / 3600.0:.3g} h, {summary['verdict']}:"
+            f" tasks served for {100.0 * summary['served']:.2f} % of the time; deaths: {len(summary['deaths'])},"
             f" charges: {summary['charges']}, lowest battery: {100.0 * (summary['lowest_level'] or 0.0):.0f} %",
             fontsize=8,
         )
@@ -100,7 +103,8 @@ def _lanes(axes: Axes, record: MissionRecord, robots: Sequence[str], colours: Ma
     """Draw a lane for each robot, with its task, its charges and its deaths, and one for each dock."""
     charges = charges_of(record, end_s)
     docks = sorted({dock for dock, _ in charges})
-    lanes = {name: place for place, name in enumerate([*robots, *docks])}
+    lanes = {robot: float(place) for place, robot in enumerate(robots)}
+    lanes |= {dock: len(robots) + DOCKS_BELOW + place for place, dock in enumerate(docks)}
     for task, colour in colours.items():
         for place, stay in enumerate(holders(record, task, end_s)):
             _bar(axes, lanes, stay.agent, stay, colour, label="" if place else task)
@@ -109,14 +113,14 @@ def _lanes(axes: Axes, record: MissionRecord, robots: Sequence[str], colours: Ma
         _bar(axes, lanes, dock, stay, CHARGES, height=0.4)
         axes.annotate(
             stay.agent.removeprefix("robot"),
-            (0.5 * (stay.start_s + stay.end_s) / 3600.0, lanes[dock] - 0.28),
+            (0.5 * (stay.start_s + stay.end_s) / 3600.0, lanes[dock] - 0.24),
             ha="center",
             va="bottom",
-            fontsize=5,
+            fontsize=6,
         )
     for place, stay in enumerate(deaths_of(record, end_s)):
-        _bar(axes, lanes, stay.agent, stay, "white", label="" if place else "dead", hatch="xxxx", edge=_DEAD)
-    axes.set_yticks(range(len(lanes)), list(lanes))
+        _bar(axes, lanes, stay.agent, stay, "white", label="" if place else "dead", hatch="xxxx", edge=_INK)
+    axes.set_yticks(list(lanes.values()), list(lanes))
     axes.invert_yaxis()
     axes.axhline(len(robots) - 0.5, color=_INK, lw=0.6)
     axes.legend(ncols=6, loc="lower center", bbox_to_anchor=(0.5, -0.12), frameon=False, fontsize=7)
@@ -124,7 +128,7 @@ def _lanes(axes: Axes, record: MissionRecord, robots: Sequence[str], colours: Ma
 
 def _bar(
     axes: Axes,
-    lanes: Mapping[str, int],
+    lanes: Mapping[str, float],
     lane: str,
     stay: Holder,
     colour: str,
@@ -150,4 +154,11 @@ def _bar(
 def _level(axes: Axes, path: Sequence[Row], empty_v: float, full_v: float) -> None:
     rows = [row for row in path[::EVERY] if row.battery_v is not None]
     times_h = [row.t_s / 3600.0 for row in rows]
-    axes.plot(times_h, [((row.battery_v or 0.0) - empty_v) / (full_v - empty_v) for row in rows], lw=0.7, alpha=0.8)
+    # In one colour: the colours above are those of tasks.
+    axes.plot(
+        times_h,
+        [((row.battery_v or 0.0) - empty_v) / (full_v - empty_v) for row in rows],
+        lw=0.7,
+        color=_INK,
+        alpha=0.6,
+    )
