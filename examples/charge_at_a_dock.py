@@ -8,12 +8,12 @@ $ python examples/charge_at_a_dock.py
 0 s: robot1 patrols
 99 s: robot2 patrols
 102 s: robot1 takes dock1, with a reserve of 28 s
-124 s: robot1 is docked, its battery is at 20%
-139 s: robot1 is charged, its battery is at 97%
+123 s: robot1 is docked, its battery is at 18%
+138 s: robot1 is charged, its battery is at 95%
 151 s: robot1 patrols
 154 s: robot2 takes dock1, with a reserve of 29 s
-177 s: robot2 is docked, its battery is at 19%
-192 s: robot2 is charged, its battery is at 96%
+176 s: robot2 is docked, its battery is at 22%
+192 s: robot2 is charged, its battery is at 99%
 """
 
 import math

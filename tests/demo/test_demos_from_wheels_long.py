@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[2]
-DEMOS = ("encirclement", "energy", "intruder", "pioneer", "rescue", "robotarium", "sensor-field")
+DEMOS = ("encirclement", "endless", "energy", "intruder", "pioneer", "rescue", "robotarium", "sensor-field")
 LIVE_ONLY = "ros2"
 NOT_SOURCES = shutil.ignore_patterns("*.egg-info", "build", "__pycache__")
 Pancakes = Callable[..., "subprocess.CompletedProcess[str]"]

@@ -326,11 +326,11 @@ def test_what_was_told_of_a_task_is_forgotten_once_it_is_born(fleet: Fleet):
     a = start(fleet, "a", "x", tasks=SINK)
     fleet.run_for(1.0)
     assert a.running("client") == ["Sink"]
-    z = Identity("z")
-    says(fleet, "x", Fact(TASK, Register(Epoch(0, z), sets=((z,),))))
+    owner = Identity("late")  # a name that no other test of this process has
+    says(fleet, "x", Fact(TASK, Register(Epoch(0, owner), sets=((owner,),))))
     fleet.run_for(1.0)
     gc.collect()
-    assert not [it for it in gc.get_objects() if isinstance(it, Fact) and it.owner == "z"]
+    assert not [it for it in gc.get_objects() if isinstance(it, Fact) and it.owner == "late"]
 
 
 def test_an_answer_about_a_task_that_was_not_asked_about_says_nothing(fleet: Fleet):
