@@ -83,7 +83,7 @@ def test_fault_schedules_convict_agents_that_forget_a_promise(monkeypatch: pytes
         return [*(it for it in effects if isinstance(it, rules.Send)), rules.Persist(place.register)]
 
     monkeypatch.setitem(rules.RULES, rules.Prepare, forgetful)
-    convicted = (" has run, at ", " was written down, at ")  # an older epoch, or an older state, begins after a newer one
+    convicted = (" has run, at ", " was written down, at ")  # an older epoch or state follows
     assert any(words in violation for violation in violations(range(1, 41)) for words in convicted)
 
 
