@@ -20,7 +20,7 @@ TASK_COLOURS: Final = ("#0072B2", "#E69F00", "#009E73", "#CC79A7")
 CHARGES: Final = "#8a8a8a"
 _INK: Final = "#222222"
 EVERY: Final = 20
-"""Of so many rows of a battery one is drawn."""
+"""Every how-manieth row of a battery is drawn."""
 DOCKS_BELOW: Final = 0.4
 """How far the lanes of the docks are moved away from those of the robots, for their numbers."""
 
