@@ -158,7 +158,7 @@ class Component(PykkaActor):
             cause = (in_hand.source, in_hand.seq)
         address, stream = core.address, kernel.stream
         route = stream.routes.get((channel, body.__class__, to)) or stream.new_route(channel, body, to, address)
-        packet = Packet(channel, route.type, address, to, kernel.now(), core.seq.take(), body, cause, fence)
+        packet = Packet(channel, route.type, address, to, kernel.now(), next(core.seq), body, cause, fence)
         route.give(packet)
         return packet
 
@@ -347,7 +347,7 @@ class ActorCore(Component):
             one.actor_inbox, one.actor_stopped = inbox, stopped
         self.timers: dict[str, TaskTimer] = {}
         self.fence: Fence | None = None
-        self.seq = kernel.seq_of(address)
+        self.seq = kernel.seq_of(address).numbers  # itself, as each packet takes one
         self.in_hand: Packet | None = None
         self.exited: Callable[[Any, BaseException | None], None] = _ignore_end
         self.after_turn: Callable[[], None] | None = None
@@ -456,11 +456,9 @@ class ActorCore(Component):
                 self.__finish(self.after_turn)
         finally:
             try:
-                for function in turn.deferred:  # which may put off more
-                    self.__do_deferred(function)
-            finally:
                 if turn.deferred:
-                    turn.deferred.clear()
+                    self.__do_deferred(turn.deferred)
+            finally:
                 turn.reader = None
         if meter is not None:
             meter.turn(self.address, thread_time() - begun_s)
@@ -485,12 +483,16 @@ class ActorCore(Component):
         if is_for_program(error) and self.kernel.virtual is not None:
             raise error
 
-    def __do_deferred(self, function: Callable[[], None]) -> None:
+    def __do_deferred(self, deferred: list[Callable[[], None]]) -> None:
         try:
-            function()
-        except Exception as error:  # the thread, and the right to turns, must outlive it
-            text = f"what a turn of {self.address} had put off failed: {type(error).__name__}: {error}"
-            self.kernel.log("error", text)
+            for function in deferred:  # which may put off more
+                try:
+                    function()
+                except Exception as error:  # the thread, and the right to turns, must outlive it
+                    text = f"what a turn of {self.address} had put off failed: {type(error).__name__}: {error}"
+                    self.kernel.log("error", text)
+        finally:
+            deferred.clear()
 
     def __begin(self) -> None:
         self.__started = True
@@ -614,8 +616,9 @@ class ActorCore(Component):
         mailbox, facade = self.actor_inbox, self.facade
         order, control = mailbox.order, mailbox.control
         waiting = len(order)
+        host_now = self.kernel.host.now
         # A turn of one packet needs no look at the time.
-        until_s = None if slice_s is None or waiting == 1 else self.kernel.host.now() + slice_s
+        until_s = None if slice_s is None or waiting == 1 else host_now() + slice_s
         for _ in range(waiting):
             try:
                 queue = order.popleft()
@@ -629,7 +632,7 @@ class ActorCore(Component):
                 self.__handle_control()
                 if mailbox.component is not self:  # the mailbox is the successor's now
                     return
-            if mailbox.paused or (until_s is not None and self.kernel.host.now() > until_s):
+            if mailbox.paused or (until_s is not None and host_now() > until_s):
                 return
 
     # What it awaits --------------------------------------------------------------------------------------------

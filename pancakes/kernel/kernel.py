@@ -46,14 +46,16 @@ class Counter:
 
     Attributes:
         numbers: the numbers to come; `next` takes one. Any thread.
-        take: returns the next number. Any thread.
     """
 
-    __slots__ = ("numbers", "take")
+    __slots__ = ("numbers",)
 
     def __init__(self, start: int = 0) -> None:
         self.numbers = count(start)
-        self.take = self.numbers.__next__
+
+    def take(self) -> int:
+        """Return the next number. Any thread."""
+        return next(self.numbers)
 
     @property
     def value(self) -> int:

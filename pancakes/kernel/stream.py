@@ -102,13 +102,15 @@ class Route(msgspec.Struct, frozen=True):
         """
         weight = 0 if self.light else weight_of(packet.body)
         # All reliable readers are asked before any of them gets the packet: a retry must not double it.
-        for queue in self.reliable:
-            if queue.refuses(weight):
-                raise _no_room(queue, packet, weight)
+        if self.reliable:
+            for queue in self.reliable:
+                if queue.refuses(weight):
+                    raise _no_room(queue, packet, weight)
         for queue in self.queues:
             queue.put(packet, weight)
-        for tap in self.taps:
-            tap(packet)
+        if self.taps:
+            for tap in self.taps:
+                tap(packet)
 
     def give_all(self, packets: Sequence[Packet], weight: int) -> None:
         """Give packets if there is no tap and no reader may refuse one; `weight`: the bytes of each, if heavy."""
