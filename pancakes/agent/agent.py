@@ -364,7 +364,7 @@ class Agent:
             tell(root, Close())
             if self.kernel.virtual is not None:
                 until_s = self.kernel.virtual.clock.now() + CLOSE_S
-                self.kernel.virtual.run_while(lambda: not closed.is_set(), until_s)
+                self.kernel.virtual.run_until(until_s, closed.is_set)
             elif not closed.wait(CLOSE_S):
                 self.kernel.log("warning", f"{self.name} stops although some of its tasks have not ended")
         self._release()

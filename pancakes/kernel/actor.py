@@ -616,9 +616,10 @@ class ActorCore(Component):
         mailbox, facade = self.actor_inbox, self.facade
         order, control = mailbox.order, mailbox.control
         waiting = len(order)
-        host_now = self.kernel.host.now
-        # A turn of one packet needs no look at the time.
-        until_s = None if slice_s is None or waiting == 1 else host_now() + slice_s
+        host_now, until_s = None, math.inf
+        if slice_s is not None and waiting > 1:  # a turn of one packet needs no look at the time
+            host_now = self.kernel.host.now
+            until_s = host_now() + slice_s
         for _ in range(waiting):
             try:
                 queue = order.popleft()
@@ -632,7 +633,7 @@ class ActorCore(Component):
                 self.__handle_control()
                 if mailbox.component is not self:  # the mailbox is the successor's now
                     return
-            if mailbox.paused or (until_s is not None and host_now() > until_s):
+            if mailbox.paused or (host_now is not None and host_now() > until_s):
                 return
 
     # What it awaits --------------------------------------------------------------------------------------------

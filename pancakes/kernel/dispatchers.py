@@ -194,18 +194,21 @@ class PoolDispatcher(Dispatcher):
         if self._active == 0:
             self._lend()
 
-    def give_turns(self, shift: Shift, until_s: float = math.inf) -> None:
+    def give_turns(self, shift: Shift, until_s: float = math.inf) -> bool:
         """Give turns in this thread, the longest waiting first, until no more wait or it is late enough.
 
         Args:
             shift: the calling thread's.
             until_s: after the first turn that ends at this host time or later it gives no other.
+
+        Returns:
+            False if it was that late.
         """
         while self.work:
             try:
                 mailbox = self.work.popleft()
             except IndexError:  # another thread was faster
-                return
+                break
             shift.turns += 1
             shift.mailbox = mailbox
             self.give_turn(mailbox, SLICE_S)
@@ -213,9 +216,10 @@ class PoolDispatcher(Dispatcher):
             if shift.held:
                 self._come_back(shift)
             if shift.relieved:
-                return
+                break
             if until_s < math.inf and self.clock.now() >= until_s:
-                return
+                return False
+        return True
 
     def _lend(self) -> None:
         """Put a worker to work, if no thread is at work."""
@@ -428,10 +432,13 @@ class Guest:
         """Take the work over until `leave`, unless another thread is at work; return whether it did."""
         return self._pool.begin_guest(self._shift)
 
-    def work(self, until_s: float) -> None:
-        """Give the turns that wait, but none after `until_s` (host time)."""
-        if self._pool.work and self._pool.clock.now() < until_s:
-            self._pool.give_turns(self._shift, until_s)
+    def work(self, until_s: float) -> bool:
+        """Give the turns that wait, but none after one that ends at `until_s` (host time) or later.
+
+        Returns:
+            False if one ended that late.
+        """
+        return self._pool.give_turns(self._shift, until_s)
 
     def leave(self) -> None:
         """Leave what is still to be done to a worker."""

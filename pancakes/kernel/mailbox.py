@@ -88,8 +88,11 @@ class TypeQueue:
             self._make_room(weight)
         entries.append(_Heavy(packet, weight) if weight else packet)
         mailbox.order.append(self)
-        if not mailbox.token.locked() and not mailbox.paused:
-            mailbox.wake()
+        # As `Mailbox.wake`: who puts something looks at the token first, which costs less than an attempt that fails,
+        # and most would fail, as packets come while a turn is due already.
+        token = mailbox.token
+        if not token.locked() and not mailbox.paused and token.acquire(False):
+            mailbox.dispatch.ready(mailbox)
 
     def _make_room(self, weight: int) -> None:
         """Let the oldest packets fall out until there is room for one more, and count its weight."""
@@ -323,15 +326,11 @@ class Mailbox:
         self.control.append(item)
         if self.closed:
             self.clear_control()
-        elif not self.token.locked():
-            self.wake()
+        elif not self.token.locked() and self.token.acquire(False):
+            self.dispatch.ready(self)
 
     def wake(self) -> None:
-        """See that the component gets a turn, unless it has one or is about to.
-
-        Who puts something looks at the token first: a look costs less than an attempt that fails, and most would
-        fail, as packets come while a turn is due already.
-        """
+        """See that the component gets a turn, unless it has one or is about to."""
         if self.token.acquire(False):
             self.dispatch.ready(self)
 

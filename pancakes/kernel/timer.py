@@ -464,8 +464,10 @@ class Timer(PykkaActor):
             return
         try:
             self._fire_due(guest)
-            if guest.stays:
-                guest.work(min(self._host.now() + GUEST_S, self._next_host_s()))
+            now_s = self._host.now()
+            until_s = min(now_s + GUEST_S, self._next_host_s())
+            if guest.stays and now_s < until_s:
+                guest.work(until_s)
         finally:
             guest.leave()
 
@@ -487,9 +489,15 @@ class Timer(PykkaActor):
     def _fire_due(self, guest: Guest | None) -> None:
         due = self._due
         # A tick whose host time has come is due, even if rounding puts the mission's clock a hair before it.
-        due.extend(self._mission_schedule.due(self._mission.now() + 1e-9))
-        due.extend(self._host_schedule.due(self._host.now()))
-        until_s = 0.0 if guest is None else min(self._host.now() + ONE_BY_ONE_S, self._next_host_s())
+        for schedule, now_s in (
+            (self._mission_schedule, self._mission.now() + 1e-9),
+            (self._host_schedule, self._host.now()),
+        ):
+            if schedule.next_s <= now_s:
+                due.extend(schedule.due(now_s))
+        host_s = self._host.now()
+        until_s = 0.0 if guest is None else min(host_s + ONE_BY_ONE_S, self._next_host_s())
+        in_time = host_s < until_s
         while due:
             item = due[0]
             if not isinstance(item, Due):
@@ -501,8 +509,8 @@ class Timer(PykkaActor):
                 # A turn right after its tick: of a thousand tasks the first does not wait for the last to be ticked.
                 # Where turns take long, though, they wait: those that run elsewhere, and calls that were put off, shall
                 # be on time all the same.
-                if guest is not None:
-                    guest.work(until_s)
+                if in_time and guest is not None:
+                    in_time = guest.work(until_s)
                     if not guest.stays:
                         return  # the thread that has taken over goes on with what is left
             due.popleft()

@@ -60,7 +60,8 @@ class VirtualDispatcher(Dispatcher):
         """Run `function` when the clock reaches `time_s`; at the present time if that has passed."""
         call = VirtualCall(function)
         if time_s < math.inf:  # else it never comes
-            heapq.heappush(self._calls, (max(time_s, self.clock.now_s), next(self._numbers), call))
+            now_s = self.clock.now_s
+            heapq.heappush(self._calls, (time_s if time_s > now_s else now_s, next(self._numbers), call))
         return call
 
     def next_s(self) -> float:
@@ -102,31 +103,32 @@ class VirtualDispatcher(Dispatcher):
         next_s = self.next_s()
         if next_s == math.inf:
             return False
-        once = iter((True, False))
-        self.run_while(lambda: next(once), next_s)
+        once = iter((False, True))
+        self.run_until(next_s, lambda: next(once))
         return True
 
-    def run_until(self, time_s: float) -> None:
-        """Run everything that happens up to and at `time_s`, and leave the clock there."""
-        self.run_while(lambda: True, time_s)
+    def run_until(self, time_s: float, reached: Callable[[], bool] = lambda: False) -> bool:
+        """Run everything that happens up to and at `time_s`, and leave the clock there; or until something is reached.
 
-    def run_while(self, condition: Callable[[], bool], until_s: float) -> bool:
-        """Run while `condition` holds, no further than `until_s`.
+        Args:
+            time_s: how far to run.
+            reached: returns whether to stop; it is asked after each event.
 
         Returns:
-            Whether the condition ceased to hold; False if the time ran out first.
+            Whether that was reached; False if the time ran out first.
         """
-        calls, clock = self._calls, self.clock
+        calls, clock, work = self._calls, self.clock, self._work
         self.settle()
-        while condition():
-            if not calls or calls[0][0] > until_s:
-                clock.now_s = max(until_s, clock.now_s)
+        while not reached():
+            if not calls or calls[0][0] > time_s:
+                clock.now_s = max(time_s, clock.now_s)
                 return False
-            time_s, _, call = heapq.heappop(calls)
-            if call.function is None:  # called off
+            at_s, _, call = heapq.heappop(calls)
+            function = call.function
+            if function is None:  # called off
                 continue
-            clock.now_s = time_s
-            call.function()
-            if self._work:
+            clock.now_s = at_s
+            function()
+            if work:
                 self.settle()
         return True

@@ -144,8 +144,8 @@ class ClockEstimate:
         """Return the likely offset that all answers allow; the oldest are dropped until there is one."""
         while len(self.kept) > 1:
             drifts = self._allowed_drifts(at_s)
-            lowest_s = max(it.offset_s - it.error_s + drifts[0] * (at_s - it.at_s) for it in self.kept)
-            highest_s = min(it.offset_s + it.error_s + drifts[1] * (at_s - it.at_s) for it in self.kept)
+            lowest_s = max([it.offset_s - it.error_s + drifts[0] * (at_s - it.at_s) for it in self.kept])
+            highest_s = min([it.offset_s + it.error_s + drifts[1] * (at_s - it.at_s) for it in self.kept])
             if drifts[0] <= drifts[1] and lowest_s <= highest_s:
                 offset_s, drift = self._likely(at_s, *drifts)
                 offset_s = _within(offset_s, lowest_s, highest_s)
@@ -158,29 +158,31 @@ class ClockEstimate:
     def _allowed_drifts(self, at_s: float) -> tuple[float, float]:
         """Return the least and the greatest drift that the answers allow; if the first is greater, they allow none."""
         growth = self._growth()
-        newest = min(self.kept, key=lambda it: it.error_s + growth * abs(at_s - it.at_s))
-        low, high = -MOST_DRIFT, MOST_DRIFT
+        errors_s = [it.error_s + growth * abs(at_s - it.at_s) for it in self.kept]
+        newest = self.kept[errors_s.index(min(errors_s))]
+        lows, highs = [-MOST_DRIFT], [MOST_DRIFT]
         for other in self.kept:
             between_s = newest.at_s - other.at_s
             if between_s == 0.0:
                 continue
             slope = (newest.offset_s - other.offset_s) / between_s
             error = (newest.error_s + other.error_s) / abs(between_s) + WANDER
-            low, high = max(low, slope - error), min(high, slope + error)
-        return low, high
+            lows.append(slope - error)
+            highs.append(slope + error)
+        return max(lows), min(highs)
 
     def _likely(self, at_s: float, least: float, most: float) -> tuple[float, float]:
         """Return the offset at a moment and the drift, by a line through the answers with the shortest round trips."""
-        shortest_s = min(it.error_s for it in self.kept)
+        shortest_s = min([it.error_s for it in self.kept])
         rows = []
         for it in self.kept:
             excess_s = it.error_s - shortest_s + SHARE * shortest_s + STEADY_S + WANDER * abs(at_s - it.at_s)
             rows.append((1.0 / (excess_s * excess_s), it.at_s - at_s, it.offset_s))
-        weight = sum(row[0] for row in rows)
-        middle_s = sum(row[0] * row[1] for row in rows) / weight
-        offset_s = sum(row[0] * row[2] for row in rows) / weight
-        spread = sum(row[0] * (row[1] - middle_s) ** 2 for row in rows)
-        common = sum(row[0] * (row[1] - middle_s) * (row[2] - offset_s) for row in rows)
+        weight = sum([share for share, _, _ in rows])
+        middle_s = sum([share * later_s for share, later_s, _ in rows]) / weight
+        offset_s = sum([share * ahead_s for share, _, ahead_s in rows]) / weight
+        spread = sum([share * (later_s - middle_s) ** 2 for share, later_s, _ in rows])
+        common = sum([share * (later_s - middle_s) * (ahead_s - offset_s) for share, later_s, ahead_s in rows])
         # Answers that are close in time tell only noise about the drift, and most clocks have almost no drift.
         usual, firm = (0.0 if least <= 0.0 <= most else (least + most) / 2), weight * SOON_S * SOON_S
         drift = _within((common + firm * usual) / (spread + firm), least, most)

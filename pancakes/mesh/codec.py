@@ -47,8 +47,8 @@ def frame(messages: Sequence[bytes]) -> bytes:
     Raises:
         LocalProtocolError: a message does not fit a frame.
     """
-    if len(messages) == 1 and len(messages[0]) <= MAX_MESSAGE_BYTES:  # most frames of a dialogue
-        return _LENGTH.pack(len(messages[0]) + 1) + b"\x91" + messages[0]
+    if len(messages) == 1 and (size := len(messages[0])) <= MAX_MESSAGE_BYTES:  # most frames of a dialogue
+        return _LENGTH.pack(size + 1) + b"\x91" + messages[0]
     parts: list[bytes] = []
     start = length = 0
     for index, message in enumerate(messages):

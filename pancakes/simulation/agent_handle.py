@@ -125,7 +125,7 @@ class Probe(ActorCore):
         """
         virtual = self.kernel.virtual
         if virtual is not None:
-            return virtual.run_while(lambda: not condition(), virtual.clock.now() + timeout_s)
+            return virtual.run_until(virtual.clock.now() + timeout_s, condition)
         host = self.kernel.host
         until_s = host.now() + timeout_s
         with self._news:

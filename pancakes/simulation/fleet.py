@@ -409,7 +409,7 @@ class Fleet:
         Returns:
             Whether it became true.
         """
-        return self.dispatcher.run_while(lambda: not condition(), self.now() + timeout_s)
+        return self.dispatcher.run_until(self.now() + timeout_s, condition)
 
     def connect(self, timeout_s: float = PATIENCE_S) -> None:
         """Run until every agent has a link to every other, or to as many as it keeps."""

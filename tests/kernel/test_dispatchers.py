@@ -230,9 +230,9 @@ def test_virtual_time_moves_only_when_no_component_has_anything_to_do():
     dispatcher.run_until(4.0)
     assert times == [1.0, 3.0]
     assert dispatcher.clock.now() == 4.0
-    assert dispatcher.run_while(lambda: len(times) < 4, 100.0)
+    assert dispatcher.run_until(100.0, lambda: len(times) == 4)
     assert times == [1.0, 3.0, 5.0, 7.0]
-    assert not dispatcher.run_while(lambda: True, 100.0)
+    assert not dispatcher.run_until(100.0)
     assert dispatcher.clock.now() == 100.0
     assert not dispatcher.step()
 

@@ -441,13 +441,13 @@ def run_virtual(
         launcher = fleet.add(LAUNCHER, lambda virtual: Launcher(plan, mission, virtual)).agent
         now = launcher.kernel.mission.now
         losses = Losses(plan.deaths(), now, kill, start_again, partial(tell_conductor, launcher))
-        if not _run_while(fleet, lambda: mission.phase == "connecting", READY_S, interrupted, onlooker, losses):
+        if not _run_until(fleet, lambda: mission.phase != "connecting", READY_S, interrupted, onlooker, losses):
             raise _cannot_begin(mission)
         running_s = HOST.now()
         if faults is not None:
             faults.arrange(fleet, launcher)
         timeout_s = plan.duration_s * 2 + READY_S
-        _run_while(fleet, lambda: mission.phase != "over", timeout_s, interrupted, onlooker, losses)
+        _run_until(fleet, lambda: mission.phase == "over", timeout_s, interrupted, onlooker, losses)
         if interrupted.is_set():
             _settle(mission)
         ended_s = HOST.now()
@@ -467,24 +467,24 @@ def run_virtual(
     }
 
 
-def _run_while(
+def _run_until(
     fleet: Fleet,
-    condition: Callable[[], bool],
+    reached: Callable[[], bool],
     timeout_s: float,
     interrupted: threading.Event,
     onlooker: Onlooker | None,
     losses: Losses,
 ) -> bool:
-    """Run while a condition holds, for at most some virtual time.
+    """Run until something is reached, for at most some virtual time.
 
     Returns:
-        Whether the condition ceased to hold, or the run was interrupted.
+        Whether it was reached, or the run was interrupted.
     """
     until_s = fleet.now() + timeout_s
     while fleet.now() < until_s and not interrupted.is_set():
         slice_s = onlooker.slice_s() if onlooker is not None else SLICE_S
         # In virtual time the mission's clock and the fleet's clock are the same.
-        if fleet.run_until(lambda: not condition(), min(slice_s, losses.wait_s(), until_s - fleet.now())):
+        if fleet.run_until(reached, min(slice_s, losses.wait_s(), until_s - fleet.now())):
             return True
         losses.look()
         if onlooker is not None:
