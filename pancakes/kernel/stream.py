@@ -113,10 +113,12 @@ class Route(msgspec.Struct, frozen=True):
                 tap(packet)
 
     def give_all(self, packets: Sequence[Packet], weight: int) -> None:
-        """Give packets if there is no tap and no reader may refuse one; `weight`: the bytes of each, if heavy."""
+        """Give packets if no reader may refuse one; `weight`: the bytes of each, if heavy."""
         for packet in packets:
             for queue in self.queues:
                 queue.put(packet, weight)
+            for tap in self.taps:
+                tap(packet)
 
     def give_if_room(self, packet: Packet) -> None:
         """Give a packet, which cannot come again, to all of them that have room, and count it for the others."""
@@ -299,7 +301,7 @@ class InformationStream:
         first = packets[0]
         destination = "" if first.destination == NEIGHBOURS else first.destination
         route = self.routes.get((first.channel, first.type, destination))
-        if route is not None and size is not None and route.queues and not route.reliable and not route.taps:
+        if route is not None and size is not None and route.queues and not route.reliable:
             each = size // len(packets)
             route.give_all(packets, each if each > LIGHT_BYTES else 0)
             return

@@ -120,7 +120,9 @@ class Schedule:
                 heapq.heappop(heap)
                 del self._groups[period_s]
                 continue
-            missed = max(0, math.floor(now_s / period_s + 1e-9) - number)
+            missed = math.floor(now_s / period_s + 1e-9) - number
+            if missed < 0:
+                missed = 0
             number += missed
             out.append(Due(iter(tuple(entry.targets.values())), number * period_s, missed))
             entry.number = number = number + 1
@@ -488,15 +490,14 @@ class Timer(PykkaActor):
 
     def _fire_due(self, guest: Guest | None) -> None:
         due = self._due
+        mission, host, host_s = self._mission_schedule, self._host_schedule, self._host.now()
         # A tick whose host time has come is due, even if rounding puts the mission's clock a hair before it.
-        for schedule, now_s in (
-            (self._mission_schedule, self._mission.now() + 1e-9),
-            (self._host_schedule, self._host.now()),
-        ):
-            if schedule.next_s <= now_s:
-                due.extend(schedule.due(now_s))
-        host_s = self._host.now()
-        until_s = 0.0 if guest is None else min(host_s + ONE_BY_ONE_S, self._next_host_s())
+        mission_s = self._mission.now() + 1e-9
+        if mission.next_s <= mission_s:
+            due.extend(mission.due(mission_s))
+        if host.next_s <= host_s:
+            due.extend(host.due(host_s))
+        until_s = min(host_s + ONE_BY_ONE_S, self._next_host_s()) if guest is not None else 0.0
         in_time = host_s < until_s
         while due:
             item = due[0]

@@ -352,7 +352,10 @@ class _End(Connection):
 
     def _send_part(self, data: bytes, left_s: float, quality: Quality) -> None:
         network = self._network
-        arrival_s = self._arrival_s = max(self._arrival_s, left_s + network.travel_s(quality))
+        arrival_s = left_s + network.travel_s(quality)
+        if arrival_s < self._arrival_s:
+            arrival_s = self._arrival_s
+        self._arrival_s = arrival_s
         if self._pipe.is_cut():
             return
         other = self.other
