@@ -32,7 +32,7 @@ REQUEST_TYPES: Final = frozenset((ASK_TYPE, "request.answer", "request.feedback"
 """The types of `pancakes.kernel.request_packets`, which is imported once a task asks or is asked."""
 
 
-class _Heavy(NamedTuple):
+class Heavy(NamedTuple):
     """A packet that waits and is no light one, with the bytes of its body."""
 
     packet: Packet
@@ -54,13 +54,14 @@ class TypeQueue:
     Attributes:
         channel: the same.
         policy: the same.
+        entries: what waits: a light packet as it is, a heavy one with its weight.
         handlers: what the reader does with each packet.
         bytes: the bytes of the heavy packets that wait.
         lost: how many packets have fallen out that the reader wanted.
         handled: how many packets were taken out.
     """
 
-    __slots__ = ("_entries", "_limit", "_mailbox", "bytes", "channel", "handled", "handlers", "lost", "policy")
+    __slots__ = ("_limit", "_mailbox", "bytes", "channel", "entries", "handled", "handlers", "lost", "policy")
 
     def __init__(self, channel: ChannelQueue, policy: QueuePolicy) -> None:
         self.channel = channel
@@ -69,7 +70,7 @@ class TypeQueue:
         self.lost = 0
         self.handled = 0
         self._mailbox = channel.mailbox
-        self._entries: deque[Packet | _Heavy] = deque()
+        self.entries: deque[Packet | Heavy] = deque()
         self.bound(policy)
 
     def bound(self, policy: QueuePolicy) -> None:
@@ -79,14 +80,14 @@ class TypeQueue:
 
     def refuses(self, weight: int) -> bool:
         """Return whether a packet must be refused to its publisher; `weight`: its bytes, if it is a heavy one."""
-        return self.policy.reliable and self.policy.is_full(len(self._entries), self.bytes, weight)
+        return self.policy.reliable and self.policy.is_full(len(self.entries), self.bytes, weight)
 
     def put(self, packet: Packet, weight: int = 0) -> None:
         """Put a packet; `weight`: its bytes, if it is a heavy one."""
-        entries, mailbox = self._entries, self._mailbox
+        entries, mailbox = self.entries, self._mailbox
         if weight or len(entries) >= self._limit:
             self._make_room(weight)
-        entries.append(_Heavy(packet, weight) if weight else packet)
+        entries.append(Heavy(packet, weight) if weight else packet)
         mailbox.order.append(self)
         # As `Mailbox.wake`: who puts something looks at the token first, which costs less than an attempt that fails,
         # and most would fail, as packets come while a turn is due already.
@@ -97,28 +98,30 @@ class TypeQueue:
     def _make_room(self, weight: int) -> None:
         """Let the oldest packets fall out until there is room for one more, and count its weight."""
         with self._mailbox.scales:
-            while not self.policy.reliable and self.policy.is_full(len(self._entries), self.bytes, weight):
+            while not self.policy.reliable and self.policy.is_full(len(self.entries), self.bytes, weight):
                 try:
                     self._mailbox.order.remove(self)  # the place of its oldest
                 except ValueError:  # the reader was faster
                     break
-                self._leave(self._entries.popleft())
+                self._leave(self.entries.popleft())
                 self.lost += self.policy.counts_losses
             self.bytes += weight
 
-    def _leave(self, entry: Packet | _Heavy) -> Packet:
+    def _leave(self, entry: Packet | Heavy) -> Packet:
         """Return the packet of an entry that waits no more. Under the scales' lock if it is a heavy one."""
-        if isinstance(entry, _Heavy):
+        if isinstance(entry, Heavy):
             self.bytes -= entry.weight
             return entry.packet
         return entry
 
     def take(self) -> Packet:
         """Take the oldest packet out, whose place in the mailbox's order has been taken before."""
-        entry = self._entries.popleft()
+        entry = self.entries.popleft()
         self.handled += 1
-        if entry.__class__ is Packet:  # most are light, and this costs less than `isinstance`
-            return entry
+        return entry if entry.__class__ is Packet else self.unweighed(entry)
+
+    def unweighed(self, entry: Packet | Heavy) -> Packet:
+        """Return the packet of an entry that was taken out, whose bytes, if it is a heavy one, count no more."""
         with self._mailbox.scales:
             return self._leave(entry)
 
@@ -127,12 +130,12 @@ class TypeQueue:
         weight = weight_of(packet.body)
         with self._mailbox.scales:
             self.bytes += weight
-        self._entries.appendleft(_Heavy(packet, weight) if weight else packet)
+        self.entries.appendleft(Heavy(packet, weight) if weight else packet)
         self._mailbox.order.appendleft(self)
         self.handled -= 1
 
     def __len__(self) -> int:
-        return len(self._entries)
+        return len(self.entries)
 
 
 class UrgentQueue(TypeQueue):
@@ -147,18 +150,18 @@ class UrgentQueue(TypeQueue):
     def put(self, packet: Packet, weight: int = 0) -> None:
         mailbox = self._mailbox
         with mailbox.scales:
-            if self.policy.is_full(len(self._entries), self.bytes, weight):
+            if self.policy.is_full(len(self.entries), self.bytes, weight):
                 self.lost += 1
                 return
             self.bytes += weight
-            self._entries.append(_Heavy(packet, weight) if weight else packet)
+            self.entries.append(Heavy(packet, weight) if weight else packet)
         component = mailbox.component
         if component is not None:
             mailbox.put(Told(component, Urgent()))
 
     def clear(self) -> None:
         """Forget what waits. By the reader."""
-        while self._entries:
+        while self.entries:
             self.take()
 
 
