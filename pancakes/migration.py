@@ -298,6 +298,8 @@ def appraise(choice: CostChoice, facts: CostFacts, known: Mapping[str, Cost]) ->
 AGAIN_S: Final = 60.0
 ALLOCATION: Final = "allocation"
 """With this `when` the team decides which agent has the task."""
+TAKE_PART: Final = "write `settings = { allocation = { at_most = 3 } }` under [service.network]"
+"""How an agent takes part in the team's allocation, for people."""
 MOST_UNITS: Final = 1e12
 """The highest value, cost, price or time (s) in an allocation: sums of them are numbers, also if an agent lies."""
 

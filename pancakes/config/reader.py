@@ -28,7 +28,7 @@ from pancakes.config.toml_reader import fault_of_schema, read_values, text_of
 from pancakes.devices.health import MissRule
 from pancakes.errors import ConfigError, Fault
 from pancakes.mesh.address import fault_of_interface, in_fleet, parse_address
-from pancakes.migration import GuardRule, MigrationRule
+from pancakes.migration import TAKE_PART, GuardRule, MigrationRule
 from pancakes.packet import CORE_CHANNELS
 from pancakes.settings import check_settings, dotted, known_keys, required_keys
 from pancakes.supervision.restart import RestartSpec, fault_of_pauses
@@ -345,8 +345,7 @@ class _ConfigReader:
                 path = name.split(".", 1) if name else ()
                 self._fault((*key, "migrate", *path), problem, near)
             if task.migrate.allocated and config.services["network"].settings.get("allocation") is None:
-                hint = "write `settings = { allocation = { at_most = 3 } }` under [service.network]"
-                self._fault((*key, "migrate", "when"), f"this agent takes no part in the allocation: {hint}")
+                self._fault((*key, "migrate", "when"), f"this agent takes no part in the allocation: {TAKE_PART}")
 
     def _check_guard(self, task: TaskConfig, config: Config) -> None:
         key = ("task", task.name, "guard")

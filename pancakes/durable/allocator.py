@@ -161,9 +161,11 @@ class Allocator(TaskCore, Task):
         self._moves_until_s = -math.inf
 
     def on_start(self) -> None:
+        self._state.allocates = True
         self.after_host(LOOK_S, self._look)
 
     def on_stop(self) -> None:
+        self._state.allocates = False
         optimizer = self.kernel.actor(OPTIMIZER)
         if optimizer is not None:
             optimizer.stop()

@@ -29,7 +29,7 @@ from pancakes.kernel.actor import ActorCore
 from pancakes.kernel.kernel import Kernel
 from pancakes.kernel.mailbox import Reference, tell
 from pancakes.kernel.timer import TaskTimer
-from pancakes.migration import HostLoad
+from pancakes.migration import TAKE_PART, HostLoad
 from pancakes.packet import Packet, join
 
 if TYPE_CHECKING:
@@ -279,6 +279,7 @@ class HostState:
         shortest_lease: the task with the shortest lease that this agent guards, as the guardian says; None: it guards
             none.
         unplaced: the tasks here for which the allocation has found no robot, and why, as the Allocator says.
+        allocates: whether an Allocator runs here.
     """
 
     def __init__(
@@ -300,6 +301,7 @@ class HostState:
         self.measured: MeasuredLoad | None = None
         self.negotiated: tuple[TaskId, ...] = ()
         self.unplaced: dict[str, str] = {}
+        self.allocates = False
         self.shortest_lease: Record | None = None
 
     @property
@@ -490,5 +492,14 @@ class HostState:
             "battery_level": self.battery_level,
             "reserve": reserve,
             "disk": disk,
-            "unplaced": self.unplaced,
+            "unplaced": self.unplaced if self.allocates else self._not_allocated(),
+        }
+
+    def _not_allocated(self) -> dict[str, str]:
+        """Return the tasks here that wait for an allocation, although no Allocator runs, and what to do."""
+        why = f"{self._kernel.agent} takes no part in the allocation: {TAKE_PART} of its configuration"
+        return {
+            entry.task_id: why
+            for entry in self._kernel.tasks.all()
+            if entry.rule is not None and entry.rule.allocated and entry.task_id
         }

@@ -27,12 +27,12 @@ from pancakes.packet import NEIGHBOURS, SYSTEM, Packet, agent_of
 from pancakes.settings import NotNegative, Positive
 
 MOST_ROBOTS: Final = 64
+"""The poses of at most this many other robots are kept. What one agent says pushes out only what it has said itself,
+or, if it is about itself, what others say of further robots: so no agent makes this robot forget another one."""
 FORGET_S: Final = 60.0
 """If there are more robots, one that was silent for so long, in mission time, is forgotten for another."""
 CROWDED_S: Final = 2.0
 """If there is no room for a robot, this one holds for so long, in mission time."""
-"""The poses of at most this many other robots are kept. What one agent says pushes out only what it has said itself,
-or, if it is about itself, what others say of further robots: so no agent makes this robot forget another one."""
 SAME_PLACE: Final = 0.5
 """Two robots whose centres are closer than this share of the sum of their radii cannot both be where they say."""
 SLOW: Final = 0.05

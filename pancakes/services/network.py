@@ -28,6 +28,7 @@ from pancakes.kernel.kernel import Kernel
 from pancakes.mesh.event_loop import BUSY_POLL_S
 from pancakes.mesh.link import LinkTimes
 from pancakes.mesh.mesh import Mesh
+from pancakes.migration import TAKE_PART
 from pancakes.packet import Packet, agent_of, join
 from pancakes.service import Service
 from pancakes.settings import FilePath
@@ -336,8 +337,7 @@ class NetworkService(ServiceCore, Service):
         elif isinstance(body, Allocate):
             if not self.kernel.tell(join(self.name, ALLOCATOR), AllocationAsked(self, request, body.dry_run)):
                 raise ControlRefusedError(
-                    f"{self.agent} takes no part in the allocation: write"
-                    " `settings = { allocation = { at_most = 3 } }` under [service.network] of its configuration",
+                    f"{self.agent} takes no part in the allocation: {TAKE_PART} of its configuration",
                     "unsupported",
                 )
         elif isinstance(body, Unfollow):

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from pancakes.client.rows import sentence_of
-from pancakes.control import Allocate, Describe, Migrations, Stop
+from pancakes.control import Allocate, Describe, Migrate, Migrations, Stop
 from pancakes.devices import Battery, Reserve
 from pancakes.durable.allocator import MOST_ASKED
 from pancakes.durable.bidding import Appraise, Appraiser
@@ -167,6 +167,17 @@ def test_more_tasks_than_places_stay_where_they_are(fleet: Fleet) -> None:
     fleet.start("c", services=part(2))
     fleet.connect()
     assert fleet.run_until(lambda: unplaced(a) == [], 20.0)
+
+
+def test_a_task_that_a_person_moves_to_an_agent_that_takes_no_part_is_named(fleet: Fleet) -> None:
+    a = fleet.start("a", services=part(), tasks=work(1))
+    b = fleet.start("b")
+    fleet.connect()
+    assert unplaced(b) == []
+    assert a.ask(Migrate("client/W0", "b")).refusal is None
+    (text,) = unplaced(b)
+    assert text.startswith("has a/W0, and the allocation finds no robot for it: b takes no part in the allocation")
+    assert "[service.network]" in text and unplaced(a) == []
 
 
 def unplaced(agent: AgentHandle) -> list[str]:

@@ -111,6 +111,32 @@ def test_a_task_makes_room_for_a_pair_that_is_worth_more() -> None:
     assert lines(held(robots))["a/V"] == ("c", "")
 
 
+def test_a_group_that_fits_only_if_others_change_their_robots_finds_its_place() -> None:
+    """Two others have to leave a robot before the first task of an order is over in time there: 76 % without."""
+    team = held(drawn(21, 5, 15, coupled=True, at_most=4))
+    market = team.rounds["robot0"].market
+    assert market.value(team.allocation()) >= 0.99 * 125.99196741469395  # the best, as `optimum_of` finds
+
+
+def test_what_is_added_does_not_depend_on_which_rows_came_first() -> None:
+    robots = drawn(6, 3, 8, coupled=True)
+    rows = {
+        name: Row(1, "robot0", at_most=it.at_most, crowding=it.crowding, lots=dict(it.lots), costs=dict(it.costs))
+        for name, it in robots.items()
+    }
+    market, names = market_of(rows), sorted(rows)
+    found = completed(market, {agent: [] for agent in names})
+    assert market.value(found) > 0.0 and market.faults(found) == []
+    assert found == completed(market, {agent: [] for agent in reversed(names)})
+
+
+def test_an_agent_thinks_no_longer_about_a_large_team_than_about_a_small_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    market, there = most_lots(**dict.fromkeys(NAMES, Lot(9.0, takes_s=1.0, ends_by_s=300.0)))
+    planned = counted(monkeypatch, "timetable")
+    found = completed(market, {"a": there["a"][:200], "b": there["b"][:200]})
+    assert market.faults(found) == [] and len(planned) <= 5
+
+
 def test_an_agent_that_does_not_hear_of_all_adds_nothing_to_what_others_claim() -> None:
     """b is in the middle, and has promised its only place to c, of which a does not hear."""
     pair = {"a/T": Lot(9.0, together=("U",)), "a/U": Lot(9.0)}
