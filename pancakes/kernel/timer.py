@@ -466,10 +466,11 @@ class Timer(PykkaActor):
             return
         try:
             self._fire_due(guest)
-            now_s = self._host.now()
-            until_s = min(now_s + GUEST_S, self._next_host_s())
-            if guest.stays and now_s < until_s:
-                guest.work(until_s)
+            if guest.stays:  # else its successor has the schedules now
+                now_s = self._host.now()
+                until_s = min(now_s + GUEST_S, self._next_host_s())
+                if now_s < until_s:
+                    guest.work(until_s)
         finally:
             guest.leave()
 
