@@ -186,6 +186,7 @@ class Registrar(ActorCore):
                 self.takeovers.over(message)
             case NeighbourUp():
                 self.answers.met(message.peer, message.boot)
+                self.leases.met(message.peer)
             case NetworkBegan():
                 self.answers.network_began()
             case _:
