@@ -1,4 +1,4 @@
-"""What the source of a migration must still do after the task has gone. It lies in the task's record. Pure."""
+"""What an agent must still do after a task has left it, or was stopped. It lies in the task's record. Pure."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from pancakes.util.codecs import MALFORMED, why_malformed
 
 
 class Sequel(msgspec.Struct, frozen=True):
-    """What follows a hand-over, for the service that the task has left. The core carries it, and does not look in.
+    """What follows a hand-over or a stop, for the service of the task. The core carries it, and does not look in.
 
     Attributes:
         then: a task to start; empty: none.

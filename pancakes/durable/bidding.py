@@ -23,7 +23,7 @@ from pancakes.durable.bidding_messages import (
     MigratorBegan,
     MoveOver,
     Negotiate,
-    ServiceBegan,
+    MoverBegan,
 )
 from pancakes.durable.host_state import IDLE, HostState, Imported, LoadMeter
 from pancakes.durable.messages import REGISTRAR, Bid, Known, Refuse, Solicit, is_for
@@ -176,7 +176,7 @@ class TaskMigrator(TaskCore, Task):
                 self._attempt_over(message)
             case HasMoved():
                 self._moved(message)
-            case ServiceBegan():
+            case MoverBegan():
                 self._service_began(message.service)
             case Appraised():
                 self._appraised(message)

@@ -115,8 +115,8 @@ class HasMoved(msgspec.Struct, frozen=True):
     note: str
 
 
-class ServiceBegan(msgspec.Struct, frozen=True):
-    """A service has started again, and knows of no move that its predecessor asked for.
+class MoverBegan(msgspec.Struct, frozen=True):
+    """A service has started again, and its mover knows of no move that its predecessor asked for.
 
     Attributes:
         service: the service.

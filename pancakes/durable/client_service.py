@@ -335,7 +335,10 @@ class ClientServiceCore(ServiceCore):
     def _carry_out(self, place: Place, effect: reconcile.HostEffect, slot: Slot | None) -> None:
         match effect:
             case reconcile.Tell():
-                self.tell_registrar(place, effect.event, write=effect.write, sequel=effect.sequel)
+                if effect.write is Write.REST and place.then:
+                    self._mover.write_stop(place, effect.event)
+                else:
+                    self.tell_registrar(place, effect.event, write=effect.write, sequel=effect.sequel)
                 if effect.write is Write.REST and place.record.guarded:
                     self._departures.look_at_rest(place)
             case reconcile.After():
@@ -523,14 +526,21 @@ class ClientServiceCore(ServiceCore):
             self._mover.negotiate(slot, body, request)
         else:
             self._mover.refuse_elsewhere(slot, body)
+            place = self.places.at[slot.name]
             if isinstance(body, Remove):
                 self._creations.remove(slot, body, request)
             elif isinstance(body, control.Stop) and body.then:
-                follower = self._mover.follower_of(slot, body.then)
-                super().carry_out_command(msgspec.structs.replace(body, then=""), slot, request)
-                if not body.dry_run:
-                    self.feed_place(follower, reconcile.StartWanted())
+                self._mover.check_follower(slot, body.then)
+                before, place.then = place.then, body.then if not body.dry_run else place.then
+                try:
+                    super().carry_out_command(msgspec.structs.replace(body, then=""), slot, request)
+                except ControlRefusedError:
+                    place.then = before
+                    raise
+                self._mover.look_at_stopped(slot, place)
             else:
+                if isinstance(body, control.Stop | control.Start | control.Restart) and not body.dry_run:
+                    place.then = ""  # another decision
                 super().carry_out_command(body, slot, request)
 
     def command_waits(self, slot: Slot, request: Request) -> None:

@@ -321,8 +321,9 @@ class Place(msgspec.Struct):
         recovery: the decision of a person that waits until it is done; None: none.
         creation: the creation that waits for its start; None: none.
         removal: the request to remove it that waits for its end, or for the disk; None: none.
+        then: the task that starts here in its place once it is stopped; empty: none.
         follows: the task that it is started after; None: none.
-        to_follow: how much of what follows its migration is still to be done.
+        to_follow: how much of what follows its migration, or its stop, is still to be done.
         other: the agent that said of all others that it owns it under the highest epoch; None: none has said so.
         unsure: why it does not run, if this agent does not know what it must know.
         unwritable: whether what it carries could not be written down when it was last looked at.
@@ -344,6 +345,7 @@ class Place(msgspec.Struct):
     recovery: Recovery | None = None
     creation: Creation | None = None
     removal: Request | None = None
+    then: str = ""
     follows: TaskId | None = None
     to_follow: int = 0
     other: OtherOwner | None = None

@@ -194,6 +194,16 @@ class Leases:
         held.renewal.set(REPLACED_S if is_slow else record.lease_s / RENEWED)
         self._registrar.feed(entry, Fed(rules.Beat(held.beat)))
 
+    def met(self, peer: str) -> None:
+        """A link to another agent stands: if that is a member of a task without a permit, it is asked at once.
+
+        After a stop of this process that was longer than a lease, the links are gone, and with them what was asked.
+        """
+        for entry in list(self._registrar.entries.values()):
+            held, is_member = entry.held, peer in {one.agent for one in entry.record.members}
+            if held is not None and is_member and not entry.memory.permit:
+                self._renewal_due(entry)
+
     def state_for(self, entry: Entry, receiver: Identity, register: Register, beat: int) -> tuple[bytes | None, float]:
         """Return the state that goes along with a write for an agent, and its age; None: it has it, or needs none."""
         held, now_s = entry.held, self._now_s

@@ -20,7 +20,7 @@ from pancakes.durable.bidding_messages import (
     HasMoved,
     MoveOver,
     Negotiate,
-    ServiceBegan,
+    MoverBegan,
 )
 from pancakes.durable.hosting import Move, Place
 from pancakes.durable.messages import REGISTRAR
@@ -31,14 +31,16 @@ from pancakes.durable.reconcile import (
     FreezeFailed,
     Frozen,
     HandedOver,
+    Outcome,
     RestOverdue,
     StartWanted,
     StillOverdue,
     StoodStill,
     TakeDown,
+    Write,
 )
 from pancakes.durable.record import Record, TaskId
-from pancakes.durable.register import Standing
+from pancakes.durable.register import Standing, Wanted
 from pancakes.durable.register_messages import Concluded
 from pancakes.durable.snapshot import Snapshot
 from pancakes.errors import ControlRefusedError, MigrationError, PancakesError
@@ -161,6 +163,7 @@ class Mover:
     def __init__(self, host: ClientServiceCore) -> None:
         self._host = host
         self._broken_off: list[tuple[Record, MigrationReport]] = []  # by the end of this service's predecessor
+        self._not_followed: list[tuple[TaskId, str]] = []  # what was stopped, and what was to start in its place
         self._watched: list[str] = []
         self._asks = 0
 
@@ -172,12 +175,20 @@ class Mover:
             self._host.kernel.tell(REGISTRAR, Concluded(record.task_id))
             over = AttemptOver(self._host, record.task_id, "", Refusal("conflict", reason), stayed)
             self._host.kernel.tell(MIGRATOR, over)
-        self._host.kernel.tell(MIGRATOR, ServiceBegan(self._host))
+        for task_id, then in self._not_followed:
+            self._start_follower(self._host.places[task_id], then)
+        self._broken_off, self._not_followed = [], []
+        self._host.kernel.tell(MIGRATOR, MoverBegan(self._host))
 
     def found(self, record: Record) -> None:
         """Learns of a record that was on disk."""
-        if record.owned and record.sequel and (ledger := self.sequel_of(record).ledger) is not None:
-            self._broken_off.append((record, ledger))
+        if not record.owned or not record.sequel:
+            return
+        sequel = self.sequel_of(record)
+        if sequel.ledger is not None:
+            self._broken_off.append((record, sequel.ledger))
+        elif record.wanted is Wanted.STOPPED:
+            self._not_followed.append((record.task_id, sequel.then))
 
     def sequel_of(self, record: Record) -> Sequel:
         """Return what is to follow a migration; nothing, if that cannot be read."""
@@ -269,8 +280,8 @@ class Mover:
         host.event("migration_asked", task=slot.name, by=asked_by, cost=cost_text(body.cost), to=body.to)
         host.kernel.tell(MIGRATOR, Negotiate(self._host, request, asked_by, body.to, body.dry_run))
 
-    def follower_of(self, slot: Slot, name: str) -> Place:
-        """Return the place of the task that is to start in the place of another one, which is being stopped.
+    def check_follower(self, slot: Slot, name: str) -> None:
+        """See that a task can start in the place of another one, which is being stopped.
 
         Raises:
             ControlRefusedError: it cannot start here.
@@ -288,7 +299,26 @@ class Mover:
             raise ControlRefusedError(f"{name} cannot follow {slot.name}: it is {other.life.word} already", "conflict")
         if reason := host.admit(other):
             raise ControlRefusedError(f"{name} cannot follow {slot.name}: {reason}", "unable")
-        return place
+
+    def write_stop(self, place: Place, event: Any) -> None:
+        """Have the stop of a task written, and with it what starts in its place: one write, so neither is forgotten."""
+        stops = event.wanted is Wanted.STOPPED
+        sequel = Sequel(place.then).encode() if stops else b""
+        then = partial(self._stop_written, place, place.then) if stops else None
+        self._host.tell_registrar(place, event, then, write=Write.REST, sequel=sequel)
+
+    def _stop_written(self, place: Place, name: str, outcome: Outcome, why: str) -> None:
+        if outcome is Outcome.WRITTEN and place.then == name:
+            self._start_follower(place, name)
+
+    def look_at_stopped(self, slot: Slot, place: Place) -> None:
+        """A task was asked to stop: if it was at rest already, nothing is written."""
+        if place.then and slot.life.at_rest and place.course.settled:
+            self._start_follower(place, place.then)
+
+    def _start_follower(self, gone: Place, name: str) -> None:
+        gone.then, gone.to_follow = "", 1
+        self._follow(name, gone)
 
     def watch(self, slot: Slot) -> None:
         """A task runs: watches what its rule for moving is about."""
@@ -361,8 +391,7 @@ class Mover:
         host.log("warning", f"{slot.address} is stopped, and {other.address} starts in its place")
         # As anybody would ask for it: so it is wanted stopped, also after a reboot. The other one waits for what the
         # task holds.
-        host.publish(SYSCTRL, Stop(slot.name))
-        host.feed_place(host.places.at[other.name], StartWanted())
+        host.publish(SYSCTRL, Stop(slot.name, then=other.name))
 
     def migrator_began(self) -> None:
         """The migrator has started again and knows of no negotiation: the requests that wait are answered.
@@ -426,7 +455,7 @@ class Mover:
         self._has_followed(self._host.places[gone])
 
     def _has_followed(self, gone: Place) -> None:
-        """A part of what follows a migration is done; once all is, the record of the task says so."""
+        """A part of what follows a migration or a stop is done; once all is, it is taken out of the task's record."""
         gone.to_follow -= 1
         if not gone.to_follow:
             self._host.kernel.tell(REGISTRAR, Concluded(gone.task_id))

@@ -48,7 +48,7 @@ class Feed(msgspec.Struct, frozen=True):
         token: names this event to its service.
         service: the service that looks after the task.
         epoch: the epoch under which the service takes the task to be owned: a state of an earlier one is not written.
-        sequel: of an `Offer`: what follows once the task has gone, encoded.
+        sequel: of an `Offer` or a `Want`: what follows once the task has gone, or is stopped, encoded.
         is_checkpoint: whether it is not written if the task may not act when its turn comes.
     """
 

@@ -186,6 +186,7 @@ class Registrar(ActorCore):
                 self.takeovers.over(message)
             case NeighbourUp():
                 self.answers.met(message.peer, message.boot)
+                self.leases.met(message.peer)
             case NetworkBegan():
                 self.answers.network_began()
             case _:
@@ -335,12 +336,9 @@ class Registrar(ActorCore):
         if accept is not None and register.stamp == accept.register.stamp:
             service = accept.service if register.heir == self.me else record.service
             record = replace(record, type=accept.type, lease_s=accept.lease_s, service=service)
-        if feed is not None and isinstance(feed.event, rules.Offer):
+        if feed is not None and isinstance(feed.event, rules.Offer | rules.Want):
             record = replace(record, sequel=feed.sequel)
-        elif fed is not None and (
-            isinstance(fed.event, Conclude)
-            or (register.owner == self.me and register.heir == NOBODY and register.promised <= register.epoch)
-        ):
+        elif fed is not None and (isinstance(fed.event, Conclude) or _is_taken_back(self.me, register)):
             record = replace(record, sequel=b"")  # after a restart its service accounts for it first
         if not record.type and register.state:
             record = replace(record, type=_type_of(register.state))
@@ -832,6 +830,12 @@ def _too_late(record: Record, feed: Feed) -> str:
     """Return why a state of a task's actor is not written any more, as a clause; empty: it may be."""
     has_state = isinstance(feed.event, rules.Save | rules.Want | rules.Offer) and feed.event.state is not None
     return "it was away meanwhile" if has_state and feed.epoch != record.epoch else ""
+
+
+def _is_taken_back(me: Identity, register: Register) -> bool:
+    """Return whether this write takes back an offer, if there was one. What follows a stop stays until it is done."""
+    stays = register.owner == me and register.heir == NOBODY and register.promised <= register.epoch
+    return stays and register.wanted is not Wanted.STOPPED
 
 
 def _is_tried_again(event: Any) -> bool:

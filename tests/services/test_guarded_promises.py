@@ -209,6 +209,21 @@ def test_a_permit_that_is_over_by_the_clock_lets_nothing_out_although_no_timer_h
         assert fleet.run_until(lambda: running(fleet, "Count"), 20)
 
 
+def test_the_guardians_of_a_paused_task_are_asked_as_soon_as_they_are_linked_again():
+    with guarded("Count", Count, takeover="ask") as fleet:
+        a, waited_s = fleet.agents["a"], []
+        for _ in range(8):  # at moments of their own between two requests
+            fleet.faults.cut("a")
+            assert fleet.run_until(lambda: not a.agent.mesh.connected(), 30.0)
+            assert running(fleet, "Count") == []
+            fleet.faults.calm()
+            assert fleet.run_until(a.agent.mesh.connected, 30.0)
+            linked_s = fleet.now()
+            assert fleet.run_until(lambda: running(fleet, "Count") == ["a"], 5.0)
+            waited_s.append(fleet.now() - linked_s)
+        assert max(waited_s) < 0.1, "longer than a round trip"
+
+
 def test_a_task_that_its_file_guards_no_more_has_no_other_member():
     with guarded("Count", Count) as fleet:
         fleet.crash("a")

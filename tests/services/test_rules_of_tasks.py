@@ -1,5 +1,7 @@
 """Rules by which tasks move by themselves, where an agent has several."""
 
+import pytest
+
 from pancakes.control import Start, Stop
 from pancakes.devices import Battery
 from pancakes.packet import NEIGHBOURS, Packet
@@ -129,6 +131,36 @@ def test_a_task_that_ends_itself_has_another_start_once_its_actuators_are_free()
         assert a.running() == ["Circle"]
         fleet.stop("a")
         assert fleet.restart("a").running() == ["Circle"]
+
+
+def is_followed_after_a_death(how, steps):
+    """Check that one of the two runs, and what was stopped stays stopped, if the agent dies so many steps later."""
+    with Fleet(3) as fleet:
+        rule = {"migrate": {"when": "battery", "below": 0.3, "otherwise": "Circle"}} if how == "rule" else {}
+        tasks = {"Circle": {"type": Circle, "start": False}, "GoCharge": {"type": GoCharge, **rule}}
+        a = fleet.start("a", tasks=tasks, devices=MOTORS)
+        fleet.run_for(1.0)
+        if how == "rule":
+            a.publish("system", Battery(11.0, 0.2))
+            while not a.lines("warning"):
+                assert fleet.dispatcher.step()
+        else:
+            a.publish("sysctrl", Stop("GoCharge", then="Circle"))
+        for _ in range(steps):
+            fleet.dispatcher.step()
+        fleet.crash("a")
+        a = fleet.restart("a")
+        fleet.run_for(10.0)
+        (runs,) = a.running()
+        assert a.ask(Stop(runs)).ok
+        fleet.run_for(10.0)
+        assert a.running() == [], f"{runs} ran, and the other one was still wanted"
+        return runs
+
+
+@pytest.mark.parametrize("how", ["command", "rule"])
+def test_a_stop_and_what_follows_it_are_one_wherever_the_agent_dies(how):
+    assert {is_followed_after_a_death(how, steps) for steps in (*range(12), 20, 40)} == {"GoCharge", "Circle"}
 
 
 def test_a_stop_is_refused_if_what_should_follow_cannot():

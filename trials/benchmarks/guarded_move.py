@@ -1,7 +1,7 @@
 """How long an actuator hears nothing while a guarded task moves, beside the same task unguarded.
 
-Three agents on loopback: the task commands wheels a hundred times a second, and moves to and fro between two. Where
-it is guarded, all three are its guardians.
+Three agents on loopback: the task commands wheels a hundred times a second, and moves to and fro between two, with
+1 KiB of state and with 4 MiB. If it is guarded, all three are its guardians.
 """
 
 from __future__ import annotations
@@ -23,7 +23,9 @@ from pancakes.control import Describe, Guarding
 TITLE = "the gap in control while a task moves: guarded, beside unguarded"
 BESIDE = "unguarded"
 MOVES = 40
+LARGE_MOVES = 12
 STATE_BYTES = 1024
+LARGE_BYTES = 4 * 1024 * 1024
 WATCHER = "watcher"
 BEGUN_S = 30.0
 """So long it may take until the task runs and has its guardians."""
@@ -31,15 +33,20 @@ BEGUN_S = 30.0
 
 def measure(plan: Plan) -> Iterator[Figure]:
     """Measures all figures."""
-    figures = [Figure("gap of a move, p50", "ms", wanted=1.5), Figure("gap of a move, p90", "ms")]
-    moves = max(10, plan.share(MOVES))
-    yield from in_turns(plan, figures, partial(_run, moves, 3), partial(_run, moves, 1))
+    for moves, state_bytes, name in ((MOVES, STATE_BYTES, ""), (LARGE_MOVES, LARGE_BYTES, " with 4 MiB")):
+        figures = [
+            Figure(f"gap of a move{name}, p50", "ms", wanted=1.5),
+            Figure(f"gap of a move{name}, p90", "ms"),
+        ]
+        count = max(10, plan.share(moves))
+        sides = (partial(_run, count, state_bytes, guardians) for guardians in (3, 1))
+        yield from in_turns(plan, figures, *sides)
 
 
-def _run(moves: int, guardians: int) -> list[float]:
+def _run(moves: int, state_bytes: int, guardians: int) -> list[float]:
     with tempfile.TemporaryDirectory(prefix="pancakes-gap-") as text:
         directory = Path(text)
-        rest = pilot_on_left(directory, STATE_BYTES, f"guard = {{ copies = {guardians} }}\n" if guardians > 1 else "")
+        rest = pilot_on_left(directory, state_bytes, f"guard = {{ copies = {guardians} }}\n" if guardians > 1 else "")
         fleet = LiveFleet(directory, (*NAMES, WATCHER), rest)
         try:
             for name in fleet.names:

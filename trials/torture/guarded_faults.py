@@ -135,6 +135,10 @@ class GuardedFleet:
     def _case(self) -> TakeoverTally | None:
         """Make one fault, or two; return the tally of this case; None: no more faults are dealt out."""
         draw, tally = self._random, TakeoverTally()
+        if self._calm:
+            if self._away is not None:
+                self._come_back()
+            self._waits.until(self._comes_whole, GOES_ON_WITHIN_S)
         kind = self._deal()
         if not kind and self._deck.left:  # other kinds are excluded
             if self._away is not None:
@@ -224,8 +228,11 @@ class GuardedFleet:
         """Record the time from the loss of the owner to the next command."""
         after = [trace for trace in commands if trace.at_ns > struck_ns]
         other = next((trace for trace in after if trace.epoch[1] != hit), None)
-        if kind in KILLS and after and after[0].epoch[1] == hit:
-            tally.returned_s.append(after[0].at_ns / 1e9 - self._started_s[hit])
+        # An owner that is being killed may still command.
+        started_ns = self._started_s.get(hit, 0.0) * 1e9
+        own = next((trace for trace in after if trace.epoch[1] == hit and trace.at_ns > started_ns > struck_ns), None)
+        if kind in KILLS and own is not None and (other is None or own.at_ns < other.at_ns):
+            tally.returned_s.append((own.at_ns - started_ns) / 1e9)
         elif other is not None and kind in LOSSES:
             gaps_s = tally.killed_s if kind in KILLS else tally.ended_s if kind == "goodbye" else tally.stood_s
             gaps_s.append((other.at_ns - struck_ns) / 1e9)

@@ -165,7 +165,7 @@ def percentile(values: list[float], percent: float) -> float:
 
 def _spread(values: list[float]) -> str:
     if not values:
-        return "none"
+        return "none was measured (only what hits the owner by itself is; with --calm all does)"
     p50, p99 = percentile(values, 50), percentile(values, 99)
     return f"p50 {p50:.2f} s, p99 {p99:.2f} s, max {max(values):.2f} s, of {len(values)}"
 
