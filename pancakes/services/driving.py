@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from pancakes.supervision.service_core import ServiceCore
 
 SILENT_S: Final = 5.0
-"""A drive ends if its driver says nothing for so long, in host time: longer than a link is usually down."""
+"""A drive ends after this silence of its driver, in host time: longer than a link is usually down."""
 REPEATS: Final = 3
 """How often a command is repeated in the time that a command is good for."""
 MOTORS: Final = type_name(Twist)

@@ -281,4 +281,4 @@ def test_file_without_end():
 
 def test_set_cannot_extend(folder: Path):
     (found,) = faults(folder, COMMON, "extends=r1.toml", "agent.name=r1")
-    assert found == "--set extends=r1.toml: extends: stands only in a file: --set changes single values of it"
+    assert found == "--set extends=r1.toml: extends: belongs in a file: --set changes single values of it"

@@ -16,7 +16,7 @@ COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#7
 """Of the nodes, in order: colours that colour-blind people can tell apart (Okabe and Ito)."""
 _GREY, _FAINT, _ALARM = "#666666", "#b0b0b0", "#f4d3cb"
 _LABEL_PERCENT = 15.0
-"""Batteries that end so near to each other share a label."""
+"""Batteries that end within this distance of each other share a label."""
 
 
 def draw_sensor_field(run: Run, summary: Mapping[str, Any]) -> None:
