@@ -333,7 +333,7 @@ class Driving:
                 raise ControlRefusedError(f"{device.name} takes no such velocity: {fault}", "invalid")
             if service.kernel.halt.why:
                 raise ControlRefusedError(
-                    f"{service.agent} is {service.kernel.halt.why}. To end that: pancakes halt --end", "unable"
+                    f"{service.agent} is {service.kernel.halt.why}. To end it: pancakes halt --end", "unable"
                 )
             if device.life.state is not State.RUNNING:
                 raise ControlRefusedError(f"{device.how_it_is}, not running", "unable")

@@ -160,7 +160,7 @@ def test_signal_ends_the_drive_and_leaves_the_terminal_as_before(robot: Rig, num
         terminal.hear("+0.00 m/s")
         terminal.process.send_signal(number)
         assert terminal.end() == 0
-        assert "stands" in terminal.shown and terminal.is_as_before()
+        assert " stopped." in terminal.shown and terminal.is_as_before()
     assert state_of(robot) == "running"
 
 
