@@ -211,7 +211,7 @@ class Migrate(msgspec.Struct, frozen=True):
 
 @packet_type("allocate")
 class Allocate(msgspec.Struct, frozen=True):
-    """Begin a round of the team's allocation: which agent is to have which of the tasks that are allocated.
+    """Begin a round of the team's allocation: which agent gets which of the tasks that are allocated.
 
     The `result` is a plain mapping, that of the round's account: see docs/allocation.md.
 

@@ -318,7 +318,7 @@ class MigrationRule(msgspec.Struct, frozen=True):
         otherwise: a task to start here in the place of this one, which is stopped, if no agent can take it; empty:
             it goes on.
         again_s: after no agent could take the task, the rule asks again after this long, in host time. With
-            `allocation`: for so long an agent that refused the task does not get it.
+            `allocation`: how long an agent that refused the task does not get it.
         value: `allocation`: what it is worth that an agent has the task, in the unit of its cost. An agent to which it
             costs more does not take it.
         move_price: `allocation`: what a migration costs in addition. A smaller gain moves nothing.
@@ -444,7 +444,7 @@ class MigrationReport(msgspec.Struct, frozen=True):
 
     Attributes:
         task_id: the task, as `birthplace/name`.
-        source: the agent that it was to move from, or was taken over from.
+        source: the agent that it should have migrated from, or was taken over from.
         asked_by: what asked for the move: an address, `rule`, or `guardians`.
         cost: the cost function that was used, or several with their weights (`1 tasks + 2 battery`).
         outcome: `moved`, `stayed`, `undecided` (still under way) or `dry run`; `fenced` if it did not move, and a
@@ -454,7 +454,7 @@ class MigrationReport(msgspec.Struct, frozen=True):
         lines: one for each neighbour that was asked, by name.
         duration_s: host time from the first asking to the outcome.
         offer: the epoch under which the task goes on, such as `3@agent2`; empty if that is as before.
-        to: the only neighbour that was to be asked; empty: all.
+        to: the only neighbour to ask; empty: all.
         cause: of a task that was taken over: from which agent and from which checkpoint, as a sentence; else empty.
     """
 

@@ -420,7 +420,7 @@ class _Tree:
         path = (*above, node.name)
         head = f"the tree of {self._owner}: {' > '.join(path)}"
         if id(node) in self._seen:
-            raise ClassError(f"{head} stands in the tree twice: make a node for each place")
+            raise ClassError(f"{head} is in the tree twice: make a node for each place")
         self._seen.add(id(node))
         if vars(node).get("task") is not None:
             raise ClassError(f"{head} has a task already: make_tree makes new nodes each time")

@@ -175,9 +175,9 @@ def handlers() -> Iterator[None]:
         signal.signal(number, handler)
 
 
-@pytest.fixture
-def browser() -> Iterator[Any]:
-    """A Chromium without a window."""
+@pytest.fixture(scope="module")
+def chromium() -> Iterator[Any]:
+    """A Chromium without a window, for all tests of a file: its start costs as much as most of these tests."""
     program = next((found for name in BROWSERS if (found := shutil.which(name))), None)
     if program is None:
         pytest.skip("there is no chromium here: apt install chromium")
@@ -186,3 +186,11 @@ def browser() -> Iterator[Any]:
         browser = running.chromium.launch(executable_path=program, args=["--no-sandbox"])
         yield browser
         browser.close()
+
+
+@pytest.fixture
+def browser(chromium: Any) -> Iterator[Any]:
+    """The Chromium without anything that an earlier test left: pages, cookies and storage belong to a context."""
+    yield chromium
+    for context in chromium.contexts:
+        context.close()

@@ -232,7 +232,7 @@ class _ConfigReader:
                 continue
             self._check_name(key, name)
             if "name" in values:
-                self._fault((*key, "name"), f"unknown key; the name stands in the head of the table: [{table}.NAME]")
+                self._fault((*key, "name"), f"unknown key; the name belongs in the head of the table: [{table}.NAME]")
             for required in required_keys(cls):  # type: ignore[arg-type]
                 if values.get(required) == "":
                     self._fault((*key, required), "is empty")

@@ -46,7 +46,7 @@ def apply_set(text: str, values: dict[str, Any], places: KeyPlaces) -> Fault | N
         return Fault(f"--set {text}", "--set", f"is not an override: {EXAMPLE}")
     key, value = change
     if key == ("extends",):
-        return Fault(f"--set {text}", "extends", "stands only in a file: --set changes single values of it")
+        return Fault(f"--set {text}", "extends", "belongs in a file: --set changes single values of it")
     table = values
     for depth, part in enumerate(key[:-1], start=1):
         table = table.get(part, {})

@@ -113,7 +113,7 @@ class _Variables:
             circle = " → ".join([*self._open[self._open.index(name) :], name])
             raise _FaultyError(f"its variables are defined by one another, in a circle: {circle}")
         if len(self._open) >= MOST_NESTED:
-            raise _FaultyError(f"more than {MOST_NESTED} variables stand in one another")
+            raise _FaultyError(f"more than {MOST_NESTED} variables are nested")
         self._open.append(name)
         faults = len(self.faults)
         value = self.replaced(self._variables[name], (TABLE, name))

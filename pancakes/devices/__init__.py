@@ -169,7 +169,7 @@ class Reserve(msgspec.Struct, frozen=True):
     trouble: str = ""
 
     def seconds_after(self, way_m: float) -> float:
-        """Return the seconds that are left if the robot drives so much farther than the way to the dock.
+        """Return the seconds that are left if the robot drives farther than the way to the dock.
 
         For cost functions that know where a task is: from here to the task and from there to the dock, less `way_m`.
         """

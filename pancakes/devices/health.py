@@ -46,7 +46,7 @@ class Readings:
     Args:
         rule: when it fails.
         noun: what a try is to bring: `reading`, or `command`.
-        silent_s: without a sound reading for so long, in mission seconds, it is silent; None: never.
+        silent_s: after this time without a sound reading, in mission seconds, it is silent; None: never.
         now_s: mission time.
     """
 

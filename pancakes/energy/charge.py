@@ -14,7 +14,7 @@ from pancakes.task import Task, Tick, every, on
 UNKNOWN_S: Final = 0.0
 """A robot that has no reserve bids this: it may be in need."""
 PATIENCE_S: Final = 5.0
-"""It waits so long for the first reading of its reserve."""
+"""How long it waits for the first reading of its reserve."""
 POSE_OLD_S: Final = 2.0
 """With an older pose the robot stands: it would drive on without knowing where it is."""
 END_AGAIN_S: Final = 10.0

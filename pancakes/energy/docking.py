@@ -16,7 +16,7 @@ from pancakes.devices import DockBid, DockState, Pose, Twist
 from pancakes.settings import Positive, Share
 
 WINDOW_S: Final = 1.5
-"""A robot hears the bids of others for so long before it takes a dock."""
+"""How long a robot listens to the bids of others before it takes a dock."""
 FRESH_S: Final = 3.0
 """A bid, or the state of a dock, that is older does not count."""
 CONFIRM_S: Final = 3.0
@@ -24,12 +24,12 @@ CONFIRM_S: Final = 3.0
 STUCK_S: Final = 30.0
 """A robot that comes no nearer to its goal in this time cannot get there."""
 CONTACT_S: Final = 10.0
-"""A dock must say that it charges a robot that has stood there for so long."""
+"""How long a robot waits at a dock for the dock to report that it charges."""
 NEARER_M: Final = 0.05
 MOST_HEARD: Final = 256
 """At most this many docks, and bids of others, count at a time."""
 AVOID_S: Final = 60.0
-"""A dock that could not be had, or reached, is left out for so long."""
+"""How long a dock that refused the robot, or could not be reached, is left out."""
 
 Phase = Literal["asks", "goes", "charges", "leaves", "done"]
 
@@ -64,8 +64,8 @@ class ChargeSettings:
         enough: it leaves at this level already if another robot asks and no dock is free.
         then: tasks to start once the robot is charged: the first of them that is stopped on this agent.
         home_m: where it drives to once it is charged, so that the dock is free, (x, y); None: it stays where it is.
-        near_m: a robot that is so near to a place is there. It must be less than the reach of a dock.
-        clear_m: it lets the dock go once it is so far away.
+        near_m: the distance at which a robot counts as being at a place. It must be less than the reach of a dock.
+        clear_m: the distance at which it lets the dock go.
         speed_mps: how fast it drives.
         turn_radps: how fast it turns.
     """

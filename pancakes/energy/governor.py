@@ -32,7 +32,7 @@ class GovernorSettings:
         policy: `thresholds` or `feedback`.
         thresholds: for the first: levels of the battery, from the highest, and the effort below each.
         hysteresis: how far the battery must rise above a threshold before that no longer counts.
-        feedback: for the second: what the battery is to last for.
+        feedback: for the second: how long the battery must last.
         rates: rates of tasks, by `task` or `service/task`; `network/Discovery` sends the beacons of discovery.
         values: settings of tasks that are numbers, such as speeds, by task and by name.
         sleep: how the Network Service sleeps and wakes in turn; None: it never sleeps.

@@ -29,19 +29,19 @@ TRUSTED_M: Final = 2.0
 POSE_OLD_S: Final = 10.0
 """A pose that is older says nothing of the way to a dock."""
 SILENT_S: Final = 60.0
-"""A dock that was not heard for so long counts only if no other was."""
+"""After this silence a dock counts only if no other dock was heard."""
 MOST_DOCKS: Final = 64
 """Of more docks, those that are silent are forgotten, and the newest do not count."""
 ASKED_S: Final = 10.0
-"""A task that charges an idle robot is started at most so often ..."""
+"""The least time between two starts of the task that charges an idle robot ..."""
 REFUSED_S: Final = 30.0
-"""... and so long after it was refused, as it is on a robot that is at work."""
+"""... and after a start that was refused, as it is on a robot that works."""
 NEEDS_LEVEL: Final = 0.8
 """A robot with more is not charged for being idle, however short its reserve is."""
 URGENT: Final = 0.25
 """Below this share of `idle_below_s` an idle robot also waits for a dock."""
 AWAY_M: Final = 0.3
-"""So far from its home an idle robot is in the way."""
+"""The distance from its home at which an idle robot is in the way."""
 FULL: Final = 0.98
 """A battery above this level need not rise at a dock."""
 

@@ -30,9 +30,9 @@ MOST_ROBOTS: Final = 64
 """The poses of at most this many other robots are kept. What one agent says pushes out only what it has said itself,
 or, if it is about itself, what others say of further robots: so no agent makes this robot forget another one."""
 FORGET_S: Final = 60.0
-"""If there are more robots, one that was silent for so long, in mission time, is forgotten for another."""
+"""If there are more robots, one that was silent for this time, in mission time, is forgotten for another."""
 CROWDED_S: Final = 2.0
-"""If there is no room for a robot, this one holds for so long, in mission time."""
+"""How long, in mission time, this robot holds if there is no room to remember another one."""
 SAME_PLACE: Final = 0.5
 """Two robots whose centres are closer than this share of the sum of their radii cannot both be where they say."""
 SLOW: Final = 0.05
@@ -46,9 +46,9 @@ YIELDER_GIVES, STRANGER_GIVES, WALL_GIVES = 1.0, 0.3, 0.3
 LEAST_GIVES: Final = 0.1
 """... but the nearer a thing is, the less it gives way, down to this share where the two would touch."""
 STUCK_S: Final = 1.0
-"""A robot that wants to get on and has not for so long, in mission time, gives way to the right ..."""
+"""A robot that has not got on for this time, in mission time, gives way to the right ..."""
 ASIDE_S: Final = 2.0
-"""... for so long."""
+"""... for this time."""
 ASIDE_RAD: Final = math.radians(-60.0)
 
 
@@ -121,7 +121,7 @@ class Surroundings:
             pose: the pose; one with a number that is not finite is not used.
             at_s: when it was measured, in mission time.
             max_mps: how fast the robot may move.
-            jump_m: a pose that is further off than it can have driven, by so much, is a jump.
+            jump_m: a pose that is further off by this much than it can have driven is a jump.
             settle_s: for how long poses have to agree after a jump.
         """
         if not all(map(math.isfinite, (pose.x_m, pose.y_m, pose.theta_rad))):
@@ -288,7 +288,7 @@ def around_robot(x_m: float, y_m: float, limits: Limits, seen: Seen, age_s: floa
 
 
 def inside(x_m: float, y_m: float, limits: Limits, area: Area, slack_m: float) -> Iterator[Constraint]:
-    """Yield what the sides of an area allow to a robot that is to stay in it; arguments as for `around_robot`."""
+    """Yield what the sides of an area allow to a robot that must stay in it; arguments as for `around_robot`."""
     clear_m = limits.radius_m + limits.ahead_m + limits.gap_m + slack_m
     for nx, ny, gap_m in (
         (1.0, 0.0, x_m - area.x_min_m),
@@ -300,7 +300,7 @@ def inside(x_m: float, y_m: float, limits: Limits, area: Area, slack_m: float) -
 
 
 def outside(x_m: float, y_m: float, limits: Limits, area: Area, slack_m: float) -> Constraint:
-    """Return what an area allows to a robot that is to stay out of it; arguments as for `around_robot`."""
+    """Return what an area allows to a robot that must stay out of it; arguments as for `around_robot`."""
     near_x_m = min(max(x_m, area.x_min_m), area.x_max_m)
     near_y_m = min(max(y_m, area.y_min_m), area.y_max_m)
     apart_m = math.hypot(x_m - near_x_m, y_m - near_y_m)

@@ -23,7 +23,7 @@ from pancakes.packet import Packet, is_of_type
 SETTING: Final = "filters"
 """The key of a device's settings under which those of its filters are, by name."""
 QUIET_S: Final = 1.0
-"""A filter that has let all pass for so long, in mission time, is told to pass again."""
+"""A filter that has let all pass for this time, in mission time, is reported to pass again."""
 
 Doing = Literal["passes", "changes", "holds"]
 

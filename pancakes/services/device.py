@@ -62,7 +62,7 @@ class DeviceSpec(msgspec.Struct, frozen=True):
         hold_after_s: an actuator goes to its safe hold after this mission time without a fresh command.
         restart: what happens when the driver fails.
         missed: when readings or commands that fail are too many, so that the device fails.
-        silent_s: a sensor without a reading for so long, in mission seconds, is silent; None: as its driver says.
+        silent_s: after this time without a reading, in mission seconds, a sensor is silent; None: as its driver says.
         filters: what a command to an actuator passes, in this order, before its driver gets it.
         drive_stop_s: an actuator that is driven by hand stops after this host time without a word of its driver.
     """

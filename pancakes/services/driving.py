@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from pancakes.supervision.service_core import ServiceCore
 
 SILENT_S: Final = 5.0
-"""A drive ends if its driver says nothing for so long, in host time: longer than a link is usually down."""
+"""A drive ends after this silence of its driver, in host time: longer than a link is usually down."""
 REPEATS: Final = 3
 """How often a command is repeated in the time that a command is good for."""
 MOTORS: Final = type_name(Twist)
@@ -333,7 +333,7 @@ class Driving:
                 raise ControlRefusedError(f"{device.name} takes no such velocity: {fault}", "invalid")
             if service.kernel.halt.why:
                 raise ControlRefusedError(
-                    f"{service.agent} is {service.kernel.halt.why}. To end that: pancakes halt --end", "unable"
+                    f"{service.agent} is {service.kernel.halt.why}. To end it: pancakes halt --end", "unable"
                 )
             if device.life.state is not State.RUNNING:
                 raise ControlRefusedError(f"{device.how_it_is}, not running", "unable")

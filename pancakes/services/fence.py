@@ -89,11 +89,11 @@ class Fences:
 ANSWER_S: Final = 1.0
 """So long other agents have to say where a task is, in host time."""
 AGAIN_S: Final = 1.0
-"""An agent whose claim was refused makes no other for so long, in host time: each one costs questions and a line."""
+"""An agent whose claim was refused makes no other for this time, in host time: each one costs questions and a line."""
 SET_RIGHT: Final = "`pancakes task recover` shows which agent has it, and sets that right"
 
 Done = Callable[[str, Mapping[str, Any]], None]
-"""Takes why something was not done, empty: it was, and what is to be known of it."""
+"""Takes why something was not done (empty: it was done), and what is known of it."""
 
 
 class FencesOfAgent(msgspec.Struct, frozen=True):
@@ -145,7 +145,7 @@ class ActuatorFence:
     Args:
         task: the actuator's task, which speaks and waits for it.
         shared: what all fences of the agent rest on.
-        good_for_s: so long a command may wait, in mission time.
+        good_for_s: how long a command may wait, in mission time.
         obey: carries out a command that has waited.
         refuse: takes a command that has waited for nothing, and why.
         hold: brings the actuator to its safe hold; takes why.

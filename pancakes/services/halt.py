@@ -1,4 +1,4 @@
-"""Halts: all actuators of a fleet stand, and only a person lets them move again (docs/halt.md).
+"""Halts: all actuators of a fleet stop, and only a person lets them move again (docs/halt.md).
 
 An agent that is asked to halt brings its actuators to their safe hold at once, refuses every command from then on, and
 tells its neighbours, which do the same and tell theirs. A halt is on disk, so an agent that is started again is still
@@ -32,7 +32,7 @@ KEY: Final = "newest"
 ROOT: Final = "kernel"
 """Where on each agent the root is, which hears of halts."""
 STANDS_S: Final = 0.4
-"""The answer to a halt waits at most so long, in host time, until all actuators stand."""
+"""How long, in host time, the answer to a halt waits at most for all actuators to stop."""
 LOOK_S: Final = 0.02
 AGAIN_S: Final = 0.1
 """Neighbours that have not answered are told again after this host time; on a link that loses packets that also makes
@@ -70,7 +70,7 @@ class HaltRecord(msgspec.Struct, frozen=True):
 
     @property
     def why(self) -> str:
-        """Why actuators stand, as a clause; empty: they need not."""
+        """Why actuators are stopped, as a clause; empty: they need not be."""
         if not self.halted:
             return ""
         return f"halted by {agent_of(self.by)}" + (f": {self.reason}" if self.reason else "")
@@ -193,16 +193,16 @@ class HaltKeeping:
         self.met("")
 
     def ready(self) -> None:
-        """All services run, so the log is heard: tell people why the actuators stand, if they do."""
+        """All services run, so the log is heard: tell people why the actuators are stopped, if they are."""
         record = self._halts.record
         if record.halted:
-            self._root.log("warning", f"all actuators of {self._root.agent} stand, {record.why}")
+            self._root.log("warning", f"all actuators of {self._root.agent} are stopped, {record.why}")
 
     def asked(self, body: Halt | EndHalt, request: Request) -> None:
         """Carry out a request, for which its sender has the right.
 
         Raises:
-            ControlRefusedError: the halt is to be ended by what is no person, or nothing is halted.
+            ControlRefusedError: something other than a person asks for the end of the halt, or nothing is halted.
         """
         if isinstance(body, EndHalt):
             self._end(body, request)
@@ -234,7 +234,7 @@ class HaltKeeping:
         self._write(record)
         self._hold_all(record)
         root.event("halted", by=record.by, reason=record.reason, id=record.id)
-        root.log("warning", f"all actuators of {root.agent} stand, {record.why}. To end that: pancakes halt --end")
+        root.log("warning", f"all actuators of {root.agent} are stopped, {record.why}. To end it: pancakes halt --end")
         if record.spread:
             self._tell(self._neighbours())
 
@@ -272,7 +272,7 @@ class HaltKeeping:
             self._stand(request, why_not, 0.0)
 
     def _stand(self, request: Request, why_not: str, waited_s: float) -> None:
-        """Answer a request once all actuators stand, or it takes too long."""
+        """Answer a request once all actuators are stopped, or it takes too long."""
         if self._late() and waited_s < STANDS_S:
             self._root.after_host(LOOK_S, lambda: self._stand(request, why_not, waited_s + LOOK_S))
         else:

@@ -70,10 +70,10 @@ KIND = "recording"
 
 
 class WantedRecording(msgspec.Struct, frozen=True):
-    """A recording that is to go on.
+    """A recording that must continue.
 
     Attributes:
-        first: the path of its first file; empty: nothing is to be recorded.
+        first: the path of its first file; empty: there is no recording.
         settings: the recorder's settings, as plain values.
     """
 
@@ -82,14 +82,14 @@ class WantedRecording(msgspec.Struct, frozen=True):
 
 
 NOTHING: Final = WantedRecording()
-"""Nothing is to be recorded."""
+"""There is no recording."""
 
 
 def wanted_recordings(disk: Disk) -> RecordTable[WantedRecording]:
-    """Return which recordings are to go on, by the path of the recorder (`log/Recorder`)."""
+    """Return which recordings must continue, by the path of the recorder (`log/Recorder`)."""
 
     def malformed(path: str, why: str) -> None:
-        disk.unread.append(f"the journal does not say any more which recording is to go on: {why}")
+        disk.unread.append(f"the journal has lost which recording must continue: {why}")
 
     return RecordTable(disk, KIND, codecs.decoder(WantedRecording), malformed)
 
@@ -154,7 +154,7 @@ class LogService(ServiceCore, Service):
 
     Args:
         record: the table `[record]`: the recorder's settings, and whether it is to `start`; None: no such table.
-        wanted: which recordings are to go on, by the paths of their recorders.
+        wanted: which recordings must continue, by the paths of their recorders.
     """
 
     class Settings(msgspec.Struct):
@@ -335,7 +335,7 @@ class LogService(ServiceCore, Service):
         self.rested(slot)
 
     def _want(self, wanted: WantedRecording, then: Callable[[str], None]) -> None:
-        """Write down what is to go on; `then` is called in this actor, with the reason if that failed."""
+        """Write down which recording must continue; `then` is called in this actor, with the reason if that failed."""
         newest = self._wanted.newest.get(self._recorder, NOTHING)
         on_disk = self._wanted.on_disk.get(self._recorder, NOTHING)
         if wanted == newest == on_disk == NOTHING:

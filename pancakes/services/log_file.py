@@ -106,7 +106,7 @@ class _Handler(RotatingFileHandler):
 
 MIB: Final = 1024 * 1024
 RETRY_S: Final = 5.0
-"""A file that cannot be written is tried again after so long, in host time."""
+"""After this time, in host time, a file that could not be written is tried again."""
 
 
 class LogFile(LogWriter):

@@ -215,9 +215,9 @@ class NetworkService(ServiceCore, Service):
 
         Attributes:
             discovery_hz: beacons for each second of mission time.
-            heartbeat_s: a sign of life is sent where nothing else was for so long, in seconds of host time; a peer that
+            heartbeat_s: a sign of life is sent if nothing else was for this time, in seconds of host time; a peer that
                 is silent for four times as long is gone.
-            busy_poll_s: so long the network's thread stays awake for the next packet where one comes after the other
+            busy_poll_s: how long the network's thread stays awake for the next packet if one comes after the other
                 within that time, in seconds of host time; a dialogue of two tasks is three times as quick. 0, never,
                 saves power.
             insecure: whether it speaks over TCP although it has no keys, so that nothing is encrypted and no peer is
@@ -374,7 +374,7 @@ class NetworkService(ServiceCore, Service):
             )
         if body.most_hz != 0 and not LEAST_HZ <= body.most_hz < math.inf:
             raise ControlRefusedError(
-                f"most_hz is to be 0 (all), or {LEAST_HZ:g} or more a second, not {body.most_hz}", "invalid"
+                f"most_hz must be 0 (all), or {LEAST_HZ:g} or more a second, not {body.most_hz}", "invalid"
             )
         self._unfollow(body.channel, by)
         if sum(agent_of(it) == destination for _, it in self._followers) >= MOST_FOLLOWED:

@@ -391,7 +391,7 @@ class Root(ActorCore):
         if not target:
             self.find(target)
         if isinstance(body, (Adopt, Create, Forget)) and task:
-            # A task that was given away, or is to begin, has no place in its service: the service is asked.
+            # A task that was given away, or must still begin, has no place in its service: the service is asked.
             self._hand(service, "", replace(body, target=task), request)
         elif task:
             self._hand(service, task, body, request)
@@ -465,7 +465,7 @@ class Root(ActorCore):
         )
 
     def _place_of_new(self, target: str) -> tuple[str, str]:
-        """Return the service and the name that a target means of a task that is to begin.
+        """Return the service and the name that a target means of a task that must still begin.
 
         Raises:
             ControlRefusedError: it is no target of a task.
@@ -604,7 +604,7 @@ class Root(ActorCore):
         self.call(lambda: self._attempt(request, tell_parts))
 
     def describe(self) -> dict[str, Any]:
-        """Return what is to be known about the agent, as plain values."""
+        """Describe the agent, as plain values."""
         return {**self._describe_parts(), **self._identity()}
 
     def _describe_parts(self) -> dict[str, Any]:
@@ -625,7 +625,7 @@ class Root(ActorCore):
         }
 
     def describe_channels(self, channel: str) -> list[dict[str, Any]]:
-        """Return what is to be known about one channel, or about all, as plain values.
+        """Describe one channel, or all, as plain values.
 
         Raises:
             UnknownChannelError: there is no such channel.
@@ -643,7 +643,7 @@ class Root(ActorCore):
         ]
 
     def describe_service(self, place: ServicePlace) -> dict[str, Any]:
-        """Return what is to be known about a service, as plain values."""
+        """Describe a service, as plain values."""
         return {
             "agent": self.agent,
             "service": place.spec.name,

@@ -84,7 +84,7 @@ class MissionStart:
         kernel: the agent's kernel, whose mission is held.
         mesh: its links.
         hold: whether the mission waits for `Begin` where it runs nowhere yet.
-        join_s: so long the agent waits for its fleet at most, in host time.
+        join_s: how long the agent waits for its fleet at most, in host time.
         comes_back: whether it has been in a fleet before: where it dials no other agent, it waits to be dialled.
     """
 
@@ -137,7 +137,7 @@ class MissionStart:
             other = missions[0]
             text = (
                 f"the mission of {other.peer} runs at speed {other.speed:g} and here at {speed:g}: its time is not"
-                " taken. Set [clock] speed alike in both files, where it is to be one mission"
+                " taken. Set [clock] speed alike in both files, if it should be one mission"
             )
             self._tell = lambda root: root.log("warning", text)
         if not self._hold:
@@ -145,7 +145,7 @@ class MissionStart:
 
 
 WATCH_S: Final = 0.02
-"""How often, in host time, a service that is to start is looked at until the last of its old tasks has ended."""
+"""How often, in host time, a service that must start is looked at until the last of its old tasks has ended."""
 LOG_SERVICE: Final = "log"
 
 

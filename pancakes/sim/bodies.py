@@ -11,6 +11,7 @@ import math
 import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
+from typing import TypeVar
 
 from pancakes.devices import Motion
 from pancakes.errors import PancakesError
@@ -28,6 +29,8 @@ from pancakes.sim.robot_models import (
     Wheels,
     robot_model,
 )
+
+_Part = TypeVar("_Part")
 
 
 class Disc:
@@ -376,9 +379,7 @@ class Robot:
         Raises:
             PancakesError: robots of its kind have none.
         """
-        if self.model.ir is None:
-            raise PancakesError(f"{self.disc.name} is a {self.model.name}, which has no infrared sensors")
-        return self.model.ir
+        return self._fitted(self.model.ir, "infrared sensors")
 
     def sonar_ring(self) -> SonarRing:
         """Return its sonar ring.
@@ -386,9 +387,7 @@ class Robot:
         Raises:
             PancakesError: robots of its kind have none.
         """
-        if self.model.sonar is None:
-            raise PancakesError(f"{self.disc.name} is a {self.model.name}, which has no sonars")
-        return self.model.sonar
+        return self._fitted(self.model.sonar, "sonars")
 
     def laser_scanner(self) -> LaserScanner:
         """Return its laser scanner.
@@ -396,9 +395,7 @@ class Robot:
         Raises:
             PancakesError: robots of its kind have none.
         """
-        if self.model.laser is None:
-            raise PancakesError(f"{self.disc.name} is a {self.model.name}, which has no laser scanner")
-        return self.model.laser
+        return self._fitted(self.model.laser, "laser scanner")
 
     def wheel_encoders(self) -> WheelEncoders:
         """Return the encoders of its wheels.
@@ -406,9 +403,12 @@ class Robot:
         Raises:
             PancakesError: robots of its kind have none.
         """
-        if self.model.encoders is None:
-            raise PancakesError(f"{self.disc.name} is a {self.model.name}, which has no wheel encoders")
-        return self.model.encoders
+        return self._fitted(self.model.encoders, "wheel encoders")
+
+    def _fitted(self, part: _Part | None, name: str) -> _Part:
+        if part is None:
+            raise PancakesError(f"{self.disc.name} is a {self.model.name}, which has no {name}")
+        return part
 
     def drive(self, wheels: Wheels, until_s: float, source: str) -> None:
         """Follow a command.

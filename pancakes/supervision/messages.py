@@ -99,7 +99,7 @@ class RequestDue(msgspec.Struct, frozen=True):
     Attributes:
         key: the request.
         asked: whether the task has made it; else it was asked.
-        again: whether the answer is to be sent again.
+        again: whether the answer must be sent again.
     """
 
     key: Cause

@@ -209,7 +209,7 @@ class Reloads:
         self._answer(order)
 
     def ended(self, ended: TaskEnded) -> TaskEnded:
-        """A task has ended: it gets its new class, if it is to have one; return what it carries from here on."""
+        """A task has ended: it gets its new class, if there is one; return what it carries from here on."""
         slot = self._service.slots.get(ended.task.name)
         exchange = self._exchanges.get(slot.name) if slot is not None and slot.task is ended.task else None
         if slot is None or exchange is None or exchange.ended:

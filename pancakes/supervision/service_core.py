@@ -195,7 +195,7 @@ class ServiceCore(ActorCore):
 
         Args:
             slot: the task's place.
-            kept: what `keep` returned; None: all tasks are to begin as their configuration says.
+            kept: what `keep` returned; None: all tasks begin as their configuration says.
         """
         if kept is not None:
             slot.carried = kept.get(slot.name)

@@ -188,6 +188,7 @@ def run(all_statements: list[Statement], name: str, copy: Path, place: Path, lim
     kept = {key: value for key, value in os.environ.items() if not key.startswith(("PANCAKES_", "PYTHON", "XDG_"))}
     venv = place / "venv"
     environment = {**kept, "HOME": str(place / "home"), "VIRTUAL_ENV": str(venv), "PIP_DISABLE_PIP_VERSION_CHECK": "1"}
+    environment["PIP_COMPILE"] = "0"  # only what is imported is compiled: 6 s less of the processor for each text
     environment["PATH"] = f"{venv / 'bin'}{os.pathsep}{os.environ['PATH']}"
     environment["PIP_CACHE_DIR"] = os.environ.get("PIP_CACHE_DIR", str(Path.home() / ".cache" / "pip"))
     environment["XDG_RUNTIME_DIR"] = str(place / "run")

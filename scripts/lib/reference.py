@@ -212,7 +212,7 @@ def packets() -> str:
         "# Packet types\n",
         GENERATED,
         "The types that the core brings, with the fields of their bodies. Any task may bring more (see [Writing a"
-        " task](../writing-a-task.md)). What the envelope of every packet holds stands in `pancakes.packet.Packet`.\n",
+        " task](../writing-a-task.md)). The fields of every packet's envelope are in `pancakes.packet.Packet`.\n",
     ]
     for name, cls in known_types().items():
         if not cls.__module__.startswith("pancakes."):

@@ -149,7 +149,7 @@ def test_person_drives_and_gives_the_robot_back(robot: Rig):
         terminal.hear("+0.00 m/s  -0.62 rad/s", pressing="d")
         terminal.press("x")
         assert terminal.end() == 0
-        assert "motors of a stands. a/client/Go goes on." in terminal.shown
+        assert "motors of a stopped. a/client/Go continues." in terminal.shown
         assert terminal.is_as_before()
     assert state_of(robot) == "running"
 
@@ -160,7 +160,7 @@ def test_signal_ends_the_drive_and_leaves_the_terminal_as_before(robot: Rig, num
         terminal.hear("+0.00 m/s")
         terminal.process.send_signal(number)
         assert terminal.end() == 0
-        assert "stands" in terminal.shown and terminal.is_as_before()
+        assert " stopped." in terminal.shown and terminal.is_as_before()
     assert state_of(robot) == "running"
 
 

@@ -11,7 +11,7 @@ MOTORS = '[device.motors]\ndriver = "null.motors"\n'
 
 
 def rows(text: str) -> list[tuple[str, str, list[str]]]:
-    return [(row["agent"], row["done"], row["stand"]) for row in json.loads(text)]
+    return [(row["agent"], row["done"], row["stopped"]) for row in json.loads(text)]
 
 
 def halt_of(rig: Rig, agent: str) -> Any:

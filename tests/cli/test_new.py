@@ -18,13 +18,15 @@ from pancakes.tools.cli.verbs import scaffold
 from pancakes.tools.cli.verbs.scaffold import KINDS, LONGEST, File, Names, files_of, write
 
 LONG = "abcdefghijklmnopqrstuvwxyzabcd"
+WITHOUT = ("-p", "no:hypothesispytest")
+"""What pytest loads here besides, and takes longer than the tests that were written."""
 
 
 @pytest.mark.parametrize("kind", KINDS)
 class TestWhatIsWritten:
     def test_created_tests_pass(self, kind, tmp_path, rig):
         made(kind, tmp_path, rig)
-        tested = rig.run("-m", "pytest", "-q", "-W", "error", "-p", "no:cacheprovider", whole=True)
+        tested = rig.run("-m", "pytest", "-q", "-W", "error", "-p", "no:cacheprovider", *WITHOUT, whole=True)
         assert tested.process.wait(60.0) == 0, tested.everything()
         assert re.search(r"\b[4-9] passed", tested.everything())
 

@@ -107,7 +107,7 @@ def test_unknown_config_keys_at_any_depth():
             ),
             (
                 "[task.X]\ntype = 'x'\nname = 'Y'\n",
-                ["a.toml:6: [task.X] name: unknown key; the name stands in the head of the table: [task.NAME]"],
+                ["a.toml:6: [task.X] name: unknown key; the name belongs in the head of the table: [task.NAME]"],
             ),
             ("[channel.images]\nsize = 3\n", ["a.toml:5: [channel.images] size: unknown key"]),
         ],

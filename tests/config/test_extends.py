@@ -259,10 +259,10 @@ def test_variables_that_would_fill_the_memory(folder: Path, mark: str):
     assert any("come to more than 1,048,576 characters" in fault for fault in faults(folder, text))
 
 
-def test_variables_that_stand_in_one_another_too_deeply(folder: Path):
+def test_variables_that_are_nested_too_deeply(folder: Path):
     lines = "\n".join(f'a{i + 1} = "${{a{i}}}"' for i in range(2000))
     text = f'schema = 1\n[vars]\na0 = "r1"\n{lines}\n[agent]\nname = '
-    assert any("more than 32 variables stand" in it for it in faults(folder, text + '"${a2000}"'))
+    assert any("more than 32 variables are nested" in it for it in faults(folder, text + '"${a2000}"'))
     (folder / "x.toml").write_text(text + '"${a31}"')
     assert load(folder / "x.toml").agent.name == "r1"
 
@@ -281,4 +281,4 @@ def test_file_without_end():
 
 def test_set_cannot_extend(folder: Path):
     (found,) = faults(folder, COMMON, "extends=r1.toml", "agent.name=r1")
-    assert found == "--set extends=r1.toml: extends: stands only in a file: --set changes single values of it"
+    assert found == "--set extends=r1.toml: extends: belongs in a file: --set changes single values of it"

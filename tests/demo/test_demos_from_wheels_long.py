@@ -27,7 +27,17 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name in ("setup.cfg", "pyproject.toml", "README.md", "LICENSE"):
         shutil.copy(ROOT / name, clone / name)
     site = tmp_path_factory.mktemp("site")
-    pip = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--no-build-isolation", "--no-index"]
+    pip = [
+        sys.executable,
+        "-m",
+        "pip",
+        "install",
+        "--quiet",
+        "--no-deps",
+        "--no-compile",
+        "--no-build-isolation",
+        "--no-index",
+    ]
     plugins = [str(path.parent) for path in sorted(clone.glob("plugins/*/setup.cfg"))]
     assert len(plugins) == 7
     subprocess.run([*pip, "--target", str(site), str(clone), *plugins], check=True, cwd=clone)

@@ -12,7 +12,7 @@ PASSED = 0
 
 
 @pytest.mark.parametrize(
-    ("name", "seconds", "folders"), [("rescue", 150.0, ("",)), ("energy", 20.0, ("plain", "thresholds", "feedback"))]
+    ("name", "seconds", "folders"), [("rescue", 125.0, ("",)), ("energy", 20.0, ("plain", "thresholds", "feedback"))]
 )
 def test_seeds_of_longer_demos_give_the_same_bytes(name, seconds, folders, tmp_path: Path):
     check_same_bytes(name, seconds, folders, tmp_path)

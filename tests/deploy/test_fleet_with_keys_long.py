@@ -12,15 +12,12 @@ import psutil
 import pytest
 from cli.processes import Rig
 from deploy.deploying import deploy
-from deploy.plugin_wheels import MODULE, plugin_wheel
+from deploy.plugin_wheels import plugin_wheel
 from deploy.ssh_hosts import BARE, SshHosts, free_port, with_sshd
 
 pytestmark = [with_sshd, pytest.mark.timeout(900)]
 AGAIN_S = 20.0  # 5 s on a machine that does nothing else
 WALK = '[task.Walk]\ntype = "yard.Walk"\nsettings = { broken = false }\nrestart = { policy = "no" }\n'
-BROKEN = MODULE.replace(
-    "    @every", '    def on_start(self):\n        raise ValueError("it has no legs")\n\n    @every'
-)
 
 
 class Yard:
@@ -127,12 +124,6 @@ def test_one_command_deploys_a_fleet_with_keys(yard: Yard):
     (yard.rig.directory / "c.toml").write_text(good)
     assert yard.runs() == pids
 
-    # A bad version is rolled back: everything runs as before.
-    code, said = yard.deploy(wheel=plugin_wheel(yard.rig.directory / "2", "2.0", BROKEN))
-    assert code == 1 and "it has no legs" in said and "a is back at the version" in said, said
-    states = {row["task"]: row["state"] for row in yard.asked("task", "list") if row["service"] == "client"}
-    assert states["Walk"] == "running" and yard.errors() == []
-
     # Edits by hand on hosts are reported, and replaced by the deployed files.
     edited = yard.current("b") / "agent.toml"
     edited.write_text("this is no TOML")
@@ -152,12 +143,12 @@ def test_one_command_deploys_a_fleet_with_keys(yard: Yard):
     assert (code, said.count("has the version")) == (0, 3), said
 
     # A host that is off is named; the others can be deployed without it.
-    second = plugin_wheel(yard.rig.directory / "3", "3.0")
+    second = plugin_wheel(yard.rig.directory / "2", "2.0")
     yard.hosts.hosts["robot3"].close()
     code, said = yard.deploy(wheel=second)
     assert code == 1 and "robot3 has no SSH server at that port" in said and "--only" in said, said
     code, said = yard.deploy("--only", "a", "--only", "b", wheel=second)
-    assert code == 0 and "(yard 1.0 → 3.0, environment)" in said, said
+    assert code == 0 and "(yard 1.0 → 2.0, environment)" in said, said
     code, said = yard.deploy("--only", "d")
     assert code == 2 and "no agent 'd' has a host" in said
     assert psutil.pid_exists(after["c"])

@@ -77,7 +77,7 @@ def test_no_more_come_than_were_asked_for(fleet, most_hz):
 def test_a_rate_that_is_none_is_refused_and_nobody_who_publishes_suffers(fleet, most_hz):
     a, b = fleet.agents["a"], fleet.agents["b"]
     reply = a.ask(Follow("system", most_hz=most_hz), to="b")
-    assert not reply.ok and "most_hz is to be 0 (all), or 0.001 or more a second" in reply.reason
+    assert not reply.ok and "most_hz must be 0 (all), or 0.001 or more a second" in reply.reason
     b.publish("system", Load(0.1))
     fleet.run_for(1.0)
     assert loads(a) == []

@@ -1,4 +1,4 @@
-"""A halt: all actuators of a fleet stand, also those of agents that come later, until a person ends it."""
+"""A halt: all actuators of a fleet are stopped, also those of agents that come later, until a person ends it."""
 
 from __future__ import annotations
 
@@ -117,7 +117,7 @@ def test_halt_survives_restarts_and_reaches_newcomers(fleet):
     fleet.run_for(1.0)
     assert not moving("a")
     assert a.ask(Describe()).result["halt"]["by"].startswith("a/")
-    assert "all actuators of a stand, halted by a" in a.lines("warning")
+    assert "all actuators of a are stopped, halted by a" in a.lines("warning")
     robots(fleet, "c")
     fleet.run_for(1.0)
     assert not moving("c")

@@ -292,7 +292,7 @@ def test_a_follower_may_ask_for_no_more_than_it_can_show(fleet):
     assert_published(agent, Load, channel="system", source="b/test/Probe", times=5)
     assert_published(agent, Pose, channel="system", source="b/test/Probe", times=5)
     assert [packet.body.cpu for packet in agent.probe.packets(Load)] == [0.0, 0.25, 0.5, 0.75, 0.95], "the newest ones"
-    assert "most_hz is to be 0 (all), or 0.001 or more" in agent.ask(Follow("system", most_hz=-1.0), to="b").reason
+    assert "most_hz must be 0 (all), or 0.001 or more" in agent.ask(Follow("system", most_hz=-1.0), to="b").reason
 
 
 def test_following_what_is_not_there_or_is_here_is_refused(fleet):

@@ -1,4 +1,4 @@
-"""Which recording is to go on is kept in the journal."""
+"""Which recording must continue is kept in the journal."""
 
 import pytest
 
@@ -39,4 +39,4 @@ def test_what_cannot_be_read_is_told_and_nothing_goes_on(disk):
     journal.close()
     wanted, _, (sentence,) = opened(disk)
     assert wanted.newest == {}
-    assert sentence.startswith("the journal does not say any more which recording is to go on: ")
+    assert sentence.startswith("the journal has lost which recording must continue: ")

@@ -270,7 +270,7 @@ def twice(node: Any) -> py_trees.behaviour.Behaviour:
     ("make_tree", "why"),
     [
         (lambda self: Sequence("s", True, [Walk("w", 1), Walk("w", 2)]), "two children named 'w'"),
-        (lambda self: twice(Walk("w", 1)), "s > q > w stands in the tree twice"),
+        (lambda self: twice(Walk("w", 1)), "s > q > w is in the tree twice"),
         (lambda self: py_trees.trees.BehaviourTree(Walk("w", 1)), "return the root of the tree"),
         (lambda self: either(None), "give `either_or` a namespace"),
         (lambda self: Walk(str(uuid.uuid4()), 1), "has a random part in its name"),

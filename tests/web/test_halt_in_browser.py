@@ -1,4 +1,4 @@
-"""The button of the page that makes all actuators stand, and the line that says so."""
+"""The button of the page that stops all actuators, and the line that shows it."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def test_person_halts_all_agents_and_ends_it(acting: Any, pair: Rig):
     expect(button).to_be_visible()
     expect(line).to_be_hidden()
     button.click()
-    expect(line).to_contain_text("All actuators stand.")
+    expect(line).to_contain_text("All actuators are stopped.")
     expect(button).to_be_hidden()
     assert halted(pair) == ["a", "b"]
     end = acting.get_by_role("button", name="End the halt …")
@@ -37,7 +37,7 @@ def test_person_halts_all_agents_and_ends_it(acting: Any, pair: Rig):
 def test_page_without_control_shows_a_halt(pair: Rig, browser: Any, faults: list[str]):
     assert pair.pancakes("halt", "b", "--reason", "a child").returncode == 0
     page = opened(browser, view(pair), faults)
-    expect(page.locator("#halted")).to_contain_text(": a child. All actuators stand.")
+    expect(page.locator("#halted")).to_contain_text(": a child. All actuators are stopped.")
     expect(page.locator("#halted")).to_contain_text("b: halted by")
     expect(page.get_by_role("button", name="Halt", exact=True)).to_be_hidden()
     expect(page.get_by_role("button", name="End the halt …")).to_be_hidden()

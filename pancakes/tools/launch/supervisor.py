@@ -152,7 +152,7 @@ class LaunchPlan:
     """The plan of one fleet.
 
     Args:
-        members: its agents, in the order in which they are to start.
+        members: its agents, in the order in which they start.
         begin: whether missions that are held at 0 begin once all agents are ready.
         source: the random numbers for the pauses before restarts; None: a new source.
     """

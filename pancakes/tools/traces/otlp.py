@@ -166,7 +166,7 @@ class SpanExport:
             return self._sent, self._lost, self._why
 
     def close(self, wait_s: float) -> None:
-        """Send what waits, for at most `wait_s` seconds of the host, and end. Blocks so long."""
+        """Send what waits, and end. Blocks for at most `wait_s` seconds of the host."""
         with self._news:
             self._closing = True
             self._news.notify()

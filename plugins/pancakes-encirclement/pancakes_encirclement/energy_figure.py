@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from pancakes import PancakesError
 from pancakes.tools.demo import Run
+from pancakes.tools.demo.figure import INK, drawing
 from pancakes_encirclement.endurance import KINDS, Endurance, read_endurance
 
 if TYPE_CHECKING:
@@ -23,20 +23,7 @@ KIND_COLOURS: Final = {
     "sending": "#f0e442",
     "idle": "#bbbbbb",
 }
-_INK, _FAINT = "#333333", "#b0b0b0"
-_STYLE = {
-    "font.size": 8,
-    "axes.titlesize": 8.5,
-    "axes.labelsize": 8,
-    "legend.fontsize": 7.5,
-    "xtick.labelsize": 7,
-    "ytick.labelsize": 7,
-    "axes.linewidth": 0.6,
-    "axes.edgecolor": _INK,
-    "xtick.major.width": 0.6,
-    "ytick.major.width": 0.6,
-    "font.family": "DejaVu Sans",
-}
+_FAINT = "#b0b0b0"
 _OVER_S: Final = 15.0
 """Power is averaged over this time: about one sleep of the network and the time awake after it."""
 
@@ -52,19 +39,10 @@ def draw_energy(out: Path, runs: Mapping[str, Run], summary: Mapping[str, Any]) 
     Raises:
         PancakesError: matplotlib is missing, or a mission's files cannot be read.
     """
-    try:
-        import matplotlib
-    except ImportError:
-        raise PancakesError("the figure needs matplotlib: pip install 'pancakes-agents[demo]'") from None
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     measured = {name: read_endurance(run) for name, run in runs.items()}
     variants = summary["variants"]
     end_s = max(run.ended_s for run in runs.values())
-    with matplotlib.rc_context(_STYLE):
-        figure = Figure(figsize=(7.2, 4.8), layout="constrained")
-        FigureCanvasAgg(figure)
+    with drawing(7.2, 4.8) as figure:
         columns = figure.add_gridspec(1, 2, width_ratios=(1.9, 1.0))
         left, right = columns[0].subgridspec(3, 1), columns[1].subgridspec(2, 1)
         battery = figure.add_subplot(left[0])
@@ -97,7 +75,7 @@ def _battery(axes: Axes, measured: Mapping[str, Endurance], variants: Mapping[st
             axes.plot(run.lasted_s, 0.0, "x", color=COLOURS[index], ms=5, mew=1.4, clip_on=False, zorder=5)
     for row in variants.values():
         if row["until_s"] is not None:
-            axes.axvline(row["until_s"], color=_INK, lw=0.6, ls=":")
+            axes.axvline(row["until_s"], color=INK, lw=0.6, ls=":")
             axes.annotate(
                 "wanted end",
                 (row["until_s"], 0.97),

@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
-from pancakes import PancakesError
 from pancakes.tools.demo import Run
+from pancakes.tools.demo.figure import INK, drawing
 from pancakes.tools.demo.mission_record import holders
 from pancakes_encirclement.record import Record, Row, read_record
 from pancakes_encirclement.scenario import Scenario, read_scenario
@@ -19,21 +19,8 @@ if TYPE_CHECKING:
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7")
 """Of the robots, in order: colours that colour-blind people can tell apart (Okabe and Ito)."""
 _MARKERS = ("^", "s", "D", "v")
-_INK, _GREY, _FAINT = "#333333", "#666666", "#b0b0b0"
+_GREY, _FAINT = "#666666", "#b0b0b0"
 _DASHES = (0, (2, 1.5))
-_STYLE = {
-    "font.size": 8,
-    "axes.titlesize": 9,
-    "axes.labelsize": 8,
-    "legend.fontsize": 7.5,
-    "xtick.labelsize": 7,
-    "ytick.labelsize": 7,
-    "axes.linewidth": 0.6,
-    "axes.edgecolor": _INK,
-    "xtick.major.width": 0.6,
-    "ytick.major.width": 0.6,
-    "font.family": "DejaVu Sans",
-}
 _ARROW_EVERY_M = 0.9
 _HAND_OVER_S = 40.0
 """How much of the mission the middle panel shows, from the hand-over on."""
@@ -86,21 +73,12 @@ def draw_rescue(run: Run, summary: Mapping[str, Any]) -> None:
 
 
 def _draw(run: Run, summary: Mapping[str, Any], panels: Sequence[tuple[str, float, float]], follows: bool) -> None:
-    try:
-        import matplotlib
-    except ImportError:
-        raise PancakesError("the figure needs matplotlib: pip install 'pancakes-agents[demo]'") from None
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     record, scenario = read_record(run.out), read_scenario(run.configs)
     end_s = run.ended_s
     lanes = _lanes(record, run.configs, end_s)
-    with matplotlib.rc_context(_STYLE):
-        map_height = 2.05 * scenario.half_height_m / scenario.half_width_m
-        heights = (map_height, 0.17 * max(len(lanes), 1), 0.95)
-        figure = Figure(figsize=(7.2, sum(heights) + 1.75), layout="constrained")
-        FigureCanvasAgg(figure)
+    map_height = 2.05 * scenario.half_height_m / scenario.half_width_m
+    heights = (map_height, 0.17 * max(len(lanes), 1), 0.95)
+    with drawing(7.2, sum(heights) + 1.75, axes_titlesize=9) as figure:
         grid = figure.add_gridspec(3, len(panels), height_ratios=heights)
         maps: list[Axes] = []
         for index, (name, from_s, to_s) in enumerate(panels):
@@ -150,10 +128,10 @@ def _map(
         if follows and part:
             axes.plot(part[-1].x_m, part[-1].y_m, "o", ms=5, color=_GREY, zorder=3)
     for centre in _centres(record, summary, from_s, to_s, follows):
-        axes.add_patch(Circle(centre, scenario.radius_m, fill=False, ls="--", lw=0.7, ec=_INK, zorder=2.8))
+        axes.add_patch(Circle(centre, scenario.radius_m, fill=False, ls="--", lw=0.7, ec=INK, zorder=2.8))
     sensor = record.paths.get(scenario.sensor)
     if sensor:
-        axes.plot(sensor[0].x_m, sensor[0].y_m, "D", ms=5, mfc="white", mec=_INK, mew=1.0, zorder=4)
+        axes.plot(sensor[0].x_m, sensor[0].y_m, "D", ms=5, mfc="white", mec=INK, mew=1.0, zorder=4)
     for index, robot in enumerate(scenario.robots):
         path = record.paths.get(robot)
         if path:
@@ -202,15 +180,15 @@ def _legend(scenario: Scenario, follows: bool, killed: bool) -> tuple[list[Any],
         for i in range(len(scenario.robots))
     ]
     labels = list(scenario.robots)
-    handles.append(Line2D([], [], marker="D", ms=5, mfc="white", mec=_INK, lw=0))
+    handles.append(Line2D([], [], marker="D", ms=5, mfc="white", mec=INK, lw=0))
     labels.append(f"{scenario.sensor} node" if scenario.sensor == "sensor" else scenario.sensor)
-    handles += [Line2D([], [], color=_INK, ls="--", lw=0.7), Line2D([], [], marker="+", ms=7, color=_INK, lw=0)]
+    handles += [Line2D([], [], color=INK, ls="--", lw=0.7), Line2D([], [], marker="+", ms=7, color=INK, lw=0)]
     labels += [f"circle, R = {scenario.radius_m:g} m", "start"]
     for mover in scenario.movers[:1]:
         handles.append(Line2D([], [], color=_GREY if follows else _FAINT, ls=_DASHES, lw=0.8))
         labels.append(mover)
     if killed:
-        handles.append(Line2D([], [], marker="x", ms=6, mew=1.4, color=_INK, lw=0))
+        handles.append(Line2D([], [], marker="x", ms=6, mew=1.4, color=INK, lw=0))
         labels.append("killed")
     return handles, labels
 
@@ -271,7 +249,7 @@ def _loss(gantt: Axes, maps: Sequence[Axes], summary: Mapping[str, Any], record:
     at = next((row for row in record.paths.get(old, ()) if row.t_s >= lost_s), None)
     for axes in maps:
         if at is not None:
-            axes.plot(at.x_m, at.y_m, "x", ms=7, mew=1.4, color=_INK, zorder=6)
+            axes.plot(at.x_m, at.y_m, "x", ms=7, mew=1.4, color=INK, zorder=6)
 
 
 def _distances(axes: Axes, record: Record, scenario: Scenario, summary: Mapping[str, Any]) -> None:
@@ -281,7 +259,7 @@ def _distances(axes: Axes, record: Record, scenario: Scenario, summary: Mapping[
         rows = record.paths.get(robot, ()) if circle["x_m"] is not None else ()
         far_m = [math.hypot(row.x_m - circle["x_m"], row.y_m - circle["y_m"]) for row in rows]
         axes.plot([row.t_s for row in rows], far_m, color=COLOURS[index % len(COLOURS)], lw=1.1)
-    axes.axhline(scenario.radius_m, color=_INK, lw=0.5, ls="--")
+    axes.axhline(scenario.radius_m, color=INK, lw=0.5, ls="--")
     axes.set_ylim(bottom=0.0)
     axes.set_ylabel("to the sensor [m]")
 
@@ -294,7 +272,7 @@ def _batteries(axes: Axes, record: Record, scenario: Scenario) -> None:
         levels = [100.0 * ((row.battery_v or 0.0) - empty_v) / (full_v - empty_v) for row in rows]
         axes.plot([row.t_s for row in rows], levels, color=COLOURS[index % len(COLOURS)], lw=1.1)
     for level in scenario.watched_levels:
-        axes.axhline(100.0 * level, color=_INK, lw=0.5, ls=":")
+        axes.axhline(100.0 * level, color=INK, lw=0.5, ls=":")
         axes.annotate(
             f"{100.0 * level:.0f} %",
             (1.005, 100.0 * level),

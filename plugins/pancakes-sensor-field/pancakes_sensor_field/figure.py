@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from pancakes import PancakesError
 from pancakes.tools.demo import Run
+from pancakes.tools.demo.figure import INK, drawing
 from pancakes_sensor_field.record import Record, Row, Table, find_task, read_record
 
 if TYPE_CHECKING:
@@ -14,22 +14,9 @@ if TYPE_CHECKING:
 
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#777777")
 """Of the nodes, in order: colours that colour-blind people can tell apart (Okabe and Ito)."""
-_INK, _GREY, _FAINT, _ALARM = "#333333", "#666666", "#b0b0b0", "#f4d3cb"
+_GREY, _FAINT, _ALARM = "#666666", "#b0b0b0", "#f4d3cb"
 _LABEL_PERCENT = 15.0
-"""Batteries that end so near to each other share a label."""
-_STYLE = {
-    "font.size": 8,
-    "axes.titlesize": 8.5,
-    "axes.labelsize": 8,
-    "legend.fontsize": 7,
-    "xtick.labelsize": 7,
-    "ytick.labelsize": 7,
-    "axes.linewidth": 0.6,
-    "axes.edgecolor": _INK,
-    "xtick.major.width": 0.6,
-    "ytick.major.width": 0.6,
-    "font.family": "DejaVu Sans",
-}
+"""Batteries that end within this distance of each other share a label."""
 
 
 def draw_sensor_field(run: Run, summary: Mapping[str, Any]) -> None:
@@ -42,20 +29,11 @@ def draw_sensor_field(run: Run, summary: Mapping[str, Any]) -> None:
     Raises:
         PancakesError: matplotlib is missing, or the mission's files cannot be read.
     """
-    try:
-        import matplotlib
-    except ImportError:
-        raise PancakesError("the figure needs matplotlib: pip install 'pancakes-agents[demo]'") from None
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     record = read_record(run.out)
     field = find_task(run.configs, "sensor_field.Field")[2]["settings"]
     rule = find_task(run.configs, "sensor_field.Alarm")[2].get("migrate") or {}
     colours = dict(zip(field["nodes"], COLOURS * len(field["nodes"]), strict=False))
-    with matplotlib.rc_context(_STYLE):
-        figure = Figure(figsize=(7.2, 7.6), layout="constrained")
-        FigureCanvasAgg(figure)
+    with drawing(7.2, 7.6, legend_fontsize=7) as figure:
         grid = figure.add_gridspec(4, 2, height_ratios=(2.3, 1.5, 1.5, 1.3), width_ratios=(1.25, 1.0))
         _map(figure.add_subplot(grid[0, 0]), field, colours)
         _energy(figure.add_subplot(grid[0, 1]), summary["energy"], colours)
@@ -155,7 +133,7 @@ def _awake(axes: Axes, record: Record, colours: Mapping[str, str], summary: Tabl
         rows = record.nodes[name]
         listening = _spans(rows, [row.listening is not False for row in rows])
         axes.broken_barh(listening, (place - 0.3, 0.6), color=colours[name], alpha=0.35, lw=0)
-        axes.broken_barh(_spans(rows, [row.moving for row in rows]), (place - 0.3, 0.6), color=_INK, lw=0)
+        axes.broken_barh(_spans(rows, [row.moving for row in rows]), (place - 0.3, 0.6), color=INK, lw=0)
     axes.set_yticks(range(len(lanes)), lanes)
     axes.set_ylim(len(lanes) - 0.4, -0.6)
     axes.tick_params(axis="y", length=0)
@@ -185,7 +163,7 @@ def _batteries(
         where: dict[str, Any] = {"xytext": (3, 0), "textcoords": "offset points", "annotation_clip": False}
         axes.annotate("\n".join(names), (end_s, level), va="center", fontsize=6.5, linespacing=0.95, **where)
     if rule.get("below") is not None:
-        axes.axhline(100.0 * rule["below"], color=_INK, lw=0.6, ls=":")
+        axes.axhline(100.0 * rule["below"], color=INK, lw=0.6, ls=":")
     _alarms(axes, summary, end_s)
     axes.set_ylabel("battery [%]")
     axes.set_xlabel("mission time [s]")

@@ -68,7 +68,7 @@ def check_halt(agent: dict[str, Any], facts: Facts) -> Iterator[Finding]:
     if halt is None:
         return
     reason = f": {halt['reason']}" if halt["reason"] else ""
-    text = f"is halted by {halt['by'].partition('/')[0]}{reason}. Its actuators stand"
+    text = f"is halted by {halt['by'].partition('/')[0]}{reason}. Its actuators are stopped"
     advice = "once it is safe for all of them to move: pancakes halt --end"
     yield Finding("warning", agent["agent"], text, advice)
 

@@ -25,11 +25,11 @@ from pancakes.tools.cli.streaming import event_at
 
 GAMEPAD: Final = "/dev/input/js0"
 SEND_S: Final = 0.1
-"""A command is sent so often, or more often if the robot would stop before."""
+"""The time between two commands; less if the robot would stop before."""
 ANSWER_S: Final = 1.0
 """How long the answer to a command is awaited: the robot has stopped by then."""
 SILENT_S: Final = 5.0
-"""After so long without an answer the robot has ended the drive."""
+"""After this time without an answer the robot has ended the drive."""
 _READ: Final = 4096
 _CLEAR: Final = "\r\x1b[K"
 
@@ -180,8 +180,8 @@ def _end(client: Client, agent: str, first: Drive, begun: dict[str, Any]) -> Non
     except PancakesError:
         return
     if reply.ok:
-        goes_on = f" {begun['paused']} goes on." if begun["paused"] else ""
-        show_text(f"{begun['device']} of {agent} stands.{goes_on}")
+        goes_on = f" {begun['paused']} continues." if begun["paused"] else ""
+        show_text(f"{begun['device']} of {agent} stopped.{goes_on}")
 
 
 class _Hands:

@@ -15,7 +15,7 @@ from pancakes.tools.cli.exit_codes import OK, REFUSED, UNREACHABLE
 from pancakes.tools.cli.options import Ask, agents, asks_agents, dry_run_option
 from pancakes.tools.cli.output import DRY_RUN, show_text
 
-COLUMNS = ("agent", "done", "stand", "late", "by", "reason")
+COLUMNS = ("agent", "done", "stopped", "late", "by", "reason")
 
 
 @click.command()
@@ -95,7 +95,7 @@ def _row(agent: str, result: dict[str, Any], done: str) -> dict[str, Any]:
     return {
         "agent": agent,
         "done": done,
-        "stand": result["actuators"],
+        "stopped": result["actuators"],
         "late": result["late"],
         "by": halted.get("by", "").partition("/")[0],
         "reason": halted.get("reason", ""),

@@ -79,8 +79,8 @@ def view(
     change what the agents do.
 
     With --host it is served to other machines, and needs a password: from --password-file, from --generate-password, or
-    asked for at the terminal. Whoever knows the password may do what you may do: look, and with --control change what
-    the agents do. Without --certificate, the password travels unencrypted.
+    asked for at the terminal. Anyone who knows the password may do what you may do: look, and with --control change
+    what the agents do. Without --certificate, the password travels unencrypted.
 
     With --foxglove it serves the packets of all channels, in the topics and schemas of a recording, at an address for
     Foxglove: "Open connection", "Foxglove WebSocket". This address has no token: every program of this machine, and

@@ -28,7 +28,7 @@ export class Halt {
     show(this.button, control && open && agents.length > 0 && !all);
     const why = halted.length ? picture.get("agent", halted[0]).halt : "";
     const who = halted.length && !all ? `${halted.join(", ")}: ` : "";
-    say(this.said, [halted.length ? `${who}${why}. All actuators stand.` : "", this.failed].filter(Boolean).join(" "));
+    say(this.said, [halted.length ? `${who}${why}. All actuators are stopped.` : "", this.failed].filter(Boolean).join(" "));
     show(this.line, Boolean(halted.length || this.failed));
     show(this.end, control && open && halted.length > 0);
   }
