@@ -97,7 +97,7 @@ class Entry(msgspec.Struct):
         record: what is on disk.
         alarm: the end of the lease that is granted here.
         memory, lease: what is known until the next crash; see `rules`.
-        service: the service that fed an event last; it may not be on disk yet.
+        service: the one that fed an event last, or is to run the task here; it may not be on disk yet.
         events: what is still to be dealt with.
         effects: what is still to be carried out of the event that is being dealt with.
         dealing: that event; None: none is.

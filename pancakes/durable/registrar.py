@@ -333,6 +333,8 @@ class Registrar(ActorCore):
         feed, accept = (fed.feed, fed.accept) if fed is not None else (None, None)
         if feed is not None:
             record = replace(record, service=feed.service)
+        elif not record.service and register.owner == self.me:
+            record = replace(record, service=entry.service)
         if accept is not None and register.stamp == accept.register.stamp:
             service = accept.service if register.heir == self.me else record.service
             record = replace(record, type=accept.type, lease_s=accept.lease_s, service=service)

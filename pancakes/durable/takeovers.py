@@ -341,7 +341,7 @@ class Takeovers:
         if entry.memory.taking != NO_EPOCH:
             return
         if not entry.record.service:
-            entry.record = msgspec.structs.replace(entry.record, service=call.service)
+            entry.service = call.service  # not in the record: another one may be on its way to the disk
         self._called += 1
         registrar.event("task_called", task=call.task_id.name, silent_s=call.silent_s)
         registrar.feed(entry, Fed(rules.Call(call.floor, call.sets), peer))

@@ -6,7 +6,7 @@ import pytest
 from services.counting import Count
 from services.numbered import SINK, Numbered, Sink, numbers, upto
 
-from pancakes.control import Guarding, Migrate, Stop, Take
+from pancakes.control import Create, Guarding, Migrate, Stop, Take
 from pancakes.durable.messages import REGISTRAR, Call, addressed
 from pancakes.durable.record import TaskId
 from pancakes.durable.register import Epoch, Identity, Standing
@@ -267,6 +267,20 @@ def test_task_goes_on_if_its_offer_to_a_guardian_cannot_be_written(guarded):
     before = guarded.agents["a"].task("Count").state.n
     guarded.run_for(1.0)
     assert guarded.agents["a"].task("Count").state.n > before and record(guarded, "a").epoch.n == 0
+
+
+def test_a_guardian_that_is_called_while_it_writes_something_else_runs_the_task(guarded):
+    """What it writes still knows no service for the task, and must not make it forget the one of the call."""
+    b = guarded.agents["b"]
+    assert guarded.agents["c"].ask(Create("Other", "test.Count")).ok  # so b bids less
+    guarded.run_for(2.0)
+    guarded.faults.slow_disk("b", 8.0)
+    guarded.run_for(1.0)  # it writes what its owner has sent last
+    guarded.crash("a")
+    assert guarded.run_until(lambda: b.events("task_called"), 10)
+    guarded.faults.calm()
+    guarded.run_for(10.0)
+    assert record(guarded, "b").owned and where(guarded) == ["b"]
 
 
 def test_a_stopped_task_is_not_taken_over(guarded):
