@@ -158,6 +158,8 @@ class Leases:
         lease_s = told.rule.lease_s if told.rule is not None else entry.record.lease_s
         if entry.record.lease_s != lease_s or entry.record.type != told.type:
             entry.record = msgspec.structs.replace(entry.record, lease_s=lease_s, type=told.type)
+            if entry.writing is not None:  # it takes the record's place
+                entry.writing = msgspec.structs.replace(entry.writing, lease_s=lease_s, type=told.type)
         self._choose_later()
         self.look(entry)
 

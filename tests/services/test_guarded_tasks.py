@@ -10,11 +10,13 @@ from pancakes.control import Create, Guarding, Migrate, Stop, Take
 from pancakes.durable.messages import REGISTRAR, Call, addressed
 from pancakes.durable.record import TaskId
 from pancakes.durable.register import Epoch, Identity, Standing
+from pancakes.durable.register_messages import Guarded
 from pancakes.durable.takeovers import CALLED_S
 from pancakes.errors import NoPermitError
 from pancakes.events import Event
 from pancakes.events import record_of as record_of_log
 from pancakes.journal.journal import MARK
+from pancakes.migration import GuardRule
 from pancakes.packet import number_in_life
 from pancakes.testing import Fleet
 
@@ -281,6 +283,17 @@ def test_a_guardian_that_is_called_while_it_writes_something_else_runs_the_task(
     guarded.faults.calm()
     guarded.run_for(10.0)
     assert record(guarded, "b").owned and where(guarded) == ["b"]
+
+
+def test_a_lease_that_a_service_changes_while_its_task_is_written_holds(guarded):
+    guarded.run_for(2.0)
+    guarded.faults.slow_disk("a", 2.0)
+    guarded.run_for(1.0)  # a checkpoint is being written
+    a, rule = guarded.agents["a"], GuardRule(copies=3, lease_s=6.0, checkpoint_s=0.5)
+    a.kernel.tell(REGISTRAR, Guarded(COUNT, "test.Count", rule, guarded.now()))
+    guarded.faults.calm()
+    guarded.run_for(5.0)
+    assert record(guarded, "a").lease_s == 6.0 and where(guarded) == ["a"]
 
 
 def test_a_stopped_task_is_not_taken_over(guarded):
