@@ -819,6 +819,9 @@ def _award(step: Step, event: Award) -> None:
         step.do(AttemptFailed("", Refusal("conflict", f"{task_id} does not run here, so it cannot be given away")))
     elif course.moving is not None:
         step.do(AttemptFailed("", Refusal("conflict", f"{task_id} is being handed over already")))
+    elif len(step.record.register.sets) > 1:
+        reason = f"the guardians of {task_id} are being changed, which takes as long as its state: try again then"
+        step.do(AttemptFailed("", Refusal("busy", reason)))
     else:
         step.change(moves=course.moves + 1, moving=Moving(event.heir))
         step.do(Freeze(step.course.moves))

@@ -461,6 +461,7 @@ class Takeovers:
         return {
             **row,
             "guardians": [member.agent for member in record.members],
+            "changing": len(record.register.sets) > 1,
             "guard": entry.held.number,
             "permit_s": permit_s if permit_s is not None else record.lease_s,
             "held_back": permits.held_back(str(record.task_id)),

@@ -296,6 +296,20 @@ def test_a_lease_that_a_service_changes_while_its_task_is_written_holds(guarded)
     assert record(guarded, "a").lease_s == 6.0 and where(guarded) == ["a"]
 
 
+def test_a_task_whose_guardians_are_being_changed_is_not_paused_to_be_moved(fleet):
+    for name in "bc":
+        fleet.faults.slow_disk(name, 0.5)
+    a = fleet.agents["a"]
+    assert fleet.run_until(lambda: len(guards(fleet)) == 2, 10)
+    answer = a.ask(Migrate("Count", to="b"))
+    assert not answer.ok and "the guardians of a/Count are being changed" in answer.reason
+    assert not a.events("handoff_failed") and where(fleet) == ["a"]
+    assert guard_row(a)["changing"]
+    fleet.faults.calm()
+    assert fleet.run_until(lambda: len(guards(fleet)) == 1, 10)
+    assert a.ask(Migrate("Count", to="b")).ok
+
+
 def test_a_stopped_task_is_not_taken_over(guarded):
     guarded.run_for(2.0)
     assert guarded.agents["a"].ask(Stop("client/Count")).ok

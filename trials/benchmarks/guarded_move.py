@@ -68,8 +68,8 @@ def _wait(client: Client, guardians: int) -> None:
         described = client.request(NAMES[0], Describe()).result
         runs = any(task["task"] == "Pilot" and task["state"] == "running" for task in described["tasks"])
         rows = client.request(NAMES[0], Guarding()).result
-        guarded = guardians == 1 or any(len(row.get("guardians", ())) == guardians for row in rows)
-        if runs and guarded and len(described["neighbours"]) == 2:
+        guarded = any(len(row.get("guardians", ())) == guardians and not row["changing"] for row in rows)
+        if runs and (guarded or guardians == 1) and len(described["neighbours"]) == 2:
             return
         if time.monotonic() > until_s:
             raise TimeoutError(f"the task did not begin, with its {guardians} guardians, within {BEGUN_S:g} s")
