@@ -349,9 +349,9 @@ class Guarding(msgspec.Struct, frozen=True):
     follows), `epoch`, `checkpoint` (the number of the newest that it holds), `age_s` (how long ago the task was in
     that state, in host seconds), `silent_s` (since it heard the owner), `lease` (whether the owner's runs there),
     `lease_left_s` (for how long yet, in host seconds, unless it is renewed; None: none runs) and `wanted` (whether the
-    task should run). That of the owner has `guardians`, `changing` (whether these are being changed: until new ones have its
-    state, it does not migrate), `guard` (their number as wanted), `permit_s`, `held_back` (acts that came too late, by
-    kind), `clock_steps` and `no_dead_man` (actuators that do not hold) too.
+    task should run). That of the owner has `guardians`, `changing` (whether these are being changed: until new ones
+    have its state, it does not migrate), `guard` (their number as wanted), `permit_s`, `held_back` (acts that came too
+    late, by kind), `clock_steps` and `no_dead_man` (actuators that do not hold) too.
     """
 
 
