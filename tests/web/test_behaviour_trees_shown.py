@@ -23,6 +23,8 @@ class Go(TaskBehaviour):
 
     def update(self):
         self.steps += 1
+        if self.steps == 1:
+            self.task.log("info", "the first step")
         self.feedback_message = f"{self.steps} steps"
         return Status.RUNNING
 
@@ -38,7 +40,7 @@ class Patrol(TreeTask):
 @pytest.fixture
 def patrolling(rig: Rig) -> Rig:
     rig.install("patrol", "[pancakes.tasks]\npatrol.Patrol = plugin_patrol:Patrol\n", PATROL)
-    rig.ready("a", '[task.Patrol]\ntype = "patrol.Patrol"\n')
+    rig.ready("a", '[task.Patrol]\ntype = "patrol.Patrol"\n').hear("the first step")
     return rig
 
 
