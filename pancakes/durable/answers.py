@@ -368,6 +368,17 @@ class Answers:
                 return is_gone or (fact is not None and fact.register.wanted is Wanted.DISPUTED)
             promised = {it for it, fact in said.items() if fact.register.promised >= epoch} | {register.owner}
             return is_quorum(own.sets, promised) if lease_runs else bool(promised - {register.owner})
+        if (
+            isinstance(message, rules.Known)
+            and own.owner == me in own.members
+            and not own.unguarded
+            and not is_by_person
+        ):
+            # It lets go of what it has, so its former members and the present ones must need it no more.
+            told = {it: fact.register for it, fact in said.items()} | {message.by: register}
+            passed = {it for it, has in told.items() if max(has.epoch, has.promised) >= epoch} - {me}
+            without = {it for it, has in told.items() if has.epoch >= epoch and has.sets and me not in has.members}
+            return is_quorum(own.sets, passed) and is_quorum(register.sets, without)
         if own.owner == me and own.promised <= own.epoch and (own.unguarded or is_by_person):
             # Of another owner nobody else can know. The task is paused, and nothing of it is lost.
             is_owner = register.owner.agent == peer or not own.unguarded

@@ -22,8 +22,8 @@ from pancakes.durable.bidding_messages import (
     HasMoved,
     MigratorBegan,
     MoveOver,
-    Negotiate,
     MoverBegan,
+    Negotiate,
 )
 from pancakes.durable.host_state import IDLE, HostState, Imported, LoadMeter
 from pancakes.durable.messages import REGISTRAR, Bid, Known, Refuse, Solicit, is_for

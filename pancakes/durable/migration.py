@@ -19,8 +19,8 @@ from pancakes.durable.bidding_messages import (
     BidAwarded,
     HasMoved,
     MoveOver,
-    Negotiate,
     MoverBegan,
+    Negotiate,
 )
 from pancakes.durable.hosting import Move, Place
 from pancakes.durable.messages import REGISTRAR
