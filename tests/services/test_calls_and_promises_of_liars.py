@@ -167,12 +167,13 @@ def test_task_is_not_handed_over_by_a_stranger_while_its_owner_has_no_permit(fle
 
 
 def test_task_that_was_taken_over_moves_on_although_its_birthplace_has_not_learned_it(fleet: Fleet) -> None:
-    """A was away so long that it guards the task no more: nobody tells it, and it still takes itself for the owner."""
+    """A was away so long that it guards the task no more. Too few agents tell it, so it takes itself for the owner."""
     fleet.crash("a")
     assert fleet.run_until(lambda: len(where(fleet)) == 1, 20.0)
     (owner,) = where(fleet)
     fleet.run_for(80.0)
     assert "a" not in {it.agent for one in record(fleet, owner).register.sets for it in one}
+    fleet.crash("c" if owner == "b" else "b")
     fleet.restart("a")
     fleet.run_for(5.0)
     assert where(fleet) == [owner] and record(fleet, "a").owned, "or this proves nothing"
