@@ -323,7 +323,9 @@ class Answers:
             self._registrar.feed_later(entry, _confirmed(message, peer, fed))
             return
         now_s, task_id = self._registrar.kernel.host.now(), entry.record.task_id
-        doubts = [it for it in self._doubts.get(task_id, ()) if it.until_s > now_s and it.message != message]
+        doubts = [it for it in self._doubts.get(task_id, ()) if it.until_s > now_s]
+        if any(it.message == message and it.peer == peer for it in doubts):
+            return  # the others are asked already: their answers are claims too, and would be asked about without end
         doubts.append(_Doubt(message, peer, fed, {}, now_s + DOUBTED_S))
         self._doubts[task_id] = doubts[-MOST_DOUBTS:]
         others = [it for it in self._mesh.neighbours() if it != peer]
