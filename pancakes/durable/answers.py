@@ -323,7 +323,9 @@ class Answers:
             self._registrar.feed_later(entry, _confirmed(message, peer, fed))
             return
         now_s, task_id = self._registrar.kernel.host.now(), entry.record.task_id
-        doubts = [it for it in self._doubts.get(task_id, ()) if it.until_s > now_s and it.message != message]
+        doubts = [it for it in self._doubts.get(task_id, ()) if it.until_s > now_s]
+        if any(it.message == message and it.peer == peer for it in doubts):
+            return  # the others are asked already: their answers are claims too, and would be asked about without end
         doubts.append(_Doubt(message, peer, fed, {}, now_s + DOUBTED_S))
         self._doubts[task_id] = doubts[-MOST_DOUBTS:]
         others = [it for it in self._mesh.neighbours() if it != peer]
@@ -368,6 +370,17 @@ class Answers:
                 return is_gone or (fact is not None and fact.register.wanted is Wanted.DISPUTED)
             promised = {it for it, fact in said.items() if fact.register.promised >= epoch} | {register.owner}
             return is_quorum(own.sets, promised) if lease_runs else bool(promised - {register.owner})
+        if (
+            isinstance(message, rules.Known)
+            and own.owner == me in own.members
+            and not own.unguarded
+            and not is_by_person
+        ):
+            # It lets go of what it has, so its former members and the present ones must need it no more.
+            told = {it: fact.register for it, fact in said.items()} | {message.by: register}
+            passed = {it for it, has in told.items() if max(has.epoch, has.promised) >= epoch} - {me}
+            without = {it for it, has in told.items() if has.epoch >= epoch and has.sets and me not in has.members}
+            return is_quorum(own.sets, passed) and is_quorum(register.sets, without)
         if own.owner == me and own.promised <= own.epoch and (own.unguarded or is_by_person):
             # Of another owner nobody else can know. The task is paused, and nothing of it is lost.
             is_owner = register.owner.agent == peer or not own.unguarded

@@ -10,6 +10,7 @@ import msgspec
 from pancakes.control import Refusal
 from pancakes.durable.messages import REGISTRAR, Fact, Known, WhoHas
 from pancakes.durable.record import Record, TaskId
+from pancakes.durable.register import Standing
 from pancakes.durable.store import Records
 from pancakes.errors import PancakesError
 from pancakes.kernel.actor import ActorCore
@@ -52,7 +53,7 @@ class Origins:
     not linked, or does not answer, is no reason to refuse: a task outlives its birthplace. A guarded task is taken over
     also from an owner that is linked here, if its members do not let it act. And an owner that was away while its
     guarded task was taken over may not have learned that: if it does not act, one of its guardians is asked whether the
-    source has the task now.
+    source has the task now, unless this agent is a guardian of the source's itself.
 
     Args:
         asker: the actor that asks; it hands the answers to `told`.
@@ -107,7 +108,9 @@ class Origins:
         elif fact is not None and owner == by and (fact.acts or not is_call):
             waiting.claim, waiting.claimed_by = fact, by
             guardian = "" if fact.acts else self._guardian(fact, source, by)
-            if guardian:
+            if not fact.acts and self._guards_for(source, fact):
+                self._end(waiting)
+            elif guardian:
                 self._ask(waiting, guardian)
             else:
                 self._end(waiting, self._refusal(waiting, source))
@@ -115,6 +118,13 @@ class Origins:
             self._ask(waiting, owner)
         else:
             self._end(waiting)
+
+    def _guards_for(self, source: str, claim: Fact) -> bool:
+        """Return whether this agent is a guardian of the task itself, and has followed the source since that claim."""
+        record = self._records.get(claim.task_id)
+        if record is None or record.standing is not Standing.MEMBER:
+            return False
+        return record.register.owner.agent == source and record.register.epoch > claim.register.epoch
 
     def _guardian(self, fact: Fact, source: str, by: str) -> str:
         """Return an agent that guards a task with its owner and can be asked; empty: there is none."""

@@ -313,7 +313,8 @@ class Registrar(ActorCore):
             case rules.Remember():
                 had, was_behind = entry.memory.permit, entry.memory.behind
                 entry.memory = effect.memory
-                if entry.memory.behind and not was_behind and entry.record.owned:
+                is_old = entry.dealing is not None and isinstance(entry.dealing.event, rules.Accepted)
+                if entry.memory.behind and not was_behind and entry.record.owned and is_old:
                     self._tell_behind(entry)
                 if entry.memory.permit != had:
                     self.leases.permit_changed(entry, had)

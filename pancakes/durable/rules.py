@@ -457,8 +457,8 @@ def _set_members(place: Place, event: SetMembers) -> Effects:
     register = place.register
     if not place.writes or len(register.sets) != 1 or register.heir != NOBODY or register.wanted is Wanted.REMOVED:
         return []
-    if register.sets == (event.members,):
-        return []
+    if register.sets == (event.members,) or place.me not in event.members:
+        return []  # an owner outside would be let go of by the news of a taker, while the old members still need it
     no = register.no + 1
     return [Persist(register._replace(no=no, since=no, sets=(register.sets[0], event.members)))]
 
@@ -641,6 +641,11 @@ def _known(place: Place, event: Known, confirmed: bool = False) -> Effects:
         return []
     if news := _news(place, event, event.by, new, confirmed):
         return news
+    asks: Effects = []
+    if _was_replaced(place, new):
+        if confirmed:
+            return _tombstone(register, new)
+        asks = [Ask(event)]
     is_passed = event.by in register.members and new.promised > max(register.epoch, memory.taking)
     is_heir = register.heir == me and register.state is not None
     if is_passed and is_heir and not register.unguarded and new.promised.minter == me:
@@ -648,12 +653,26 @@ def _known(place: Place, event: Known, confirmed: bool = False) -> Effects:
         return _ask_for_promises(place, register, new.promised, register.sets)
     waits = register.unguarded or register.heir != NOBODY or memory.permit > 0
     if not is_passed or not place.writes or waits:
-        return []
+        return asks
     if new.epoch > register.epoch and not register.clockless:
         # The members have decided. It asks for no more leases: those that run under its epoch keep others out.
-        return [Remember(memory._replace(behind=True))]
+        return [Remember(memory._replace(behind=True)), *asks]
     # A member has promised a later epoch, and nobody owns the task under it: the owner asks for a later one itself.
     return _ask_for_promises(place, register, new.promised, register.sets)
+
+
+def _was_replaced(place: Place, new: Register) -> bool:
+    """Return whether others took the task over from this owner, which is no member any more.
+
+    It lets go once a quorum of its former members has promised that, and a quorum of the present ones knows them: a
+    taker that knows only the former ones still needs its promise, above all if the new owner is lost.
+    """
+    me, register = place.me, place.register
+    if register.owner != me or me not in register.members or register.unguarded or place.memory.permit > 0:
+        return False
+    if register.wanted is Wanted.DISPUTED or me in new.members or not new.sets or new.unguarded:
+        return False
+    return 0 < new.epoch.n - register.epoch.n < MORE_THAN_MIGRATIONS // 2
 
 
 def _news(place: Place, message: Accept | Known, by: Identity, new: Register, confirmed: bool) -> Effects:

@@ -166,20 +166,56 @@ def test_task_is_not_handed_over_by_a_stranger_while_its_owner_has_no_permit(fle
     assert isinstance(answer, Refuse) and "d has no right to it" in answer.refusal.text
 
 
-def test_task_that_was_taken_over_moves_on_although_its_birthplace_has_not_learned_it(fleet: Fleet) -> None:
-    """A was away so long that it guards the task no more: nobody tells it, and it still takes itself for the owner."""
+def replaced(fleet: Fleet) -> str:
+    """Has the task taken over from a, which is away so long that it guards the task no more; returns the owner."""
     fleet.crash("a")
     assert fleet.run_until(lambda: len(where(fleet)) == 1, 20.0)
     (owner,) = where(fleet)
     fleet.run_for(80.0)
     assert "a" not in {it.agent for one in record(fleet, owner).register.sets for it in one}
-    fleet.restart("a")
+    return owner
+
+
+def come_back(fleet: Fleet, off: str) -> list[Packet]:
+    """Starts a again, which some agents do not reach, and lets five seconds pass; returns what it was told in them."""
+    told: list[Packet] = []
+    fleet.restart("a").kernel.stream.tap("network", told.append)
+    if off:
+        fleet.faults.cut("a", off=tuple(off))
     fleet.run_for(5.0)
+    return told
+
+
+@pytest.mark.parametrize("off", ["b", "c", "bc", "bcd", "cde", "bcde"])
+def test_task_that_was_taken_over_moves_on_although_its_birthplace_has_not_learned_it(fleet: Fleet, off: str) -> None:
+    """Too few agents reach a, which takes itself for the owner still. It does not ask them over and over."""
+    owner = replaced(fleet)
+    told = come_back(fleet, off)
     assert where(fleet) == [owner] and record(fleet, "a").owned, "or this proves nothing"
+    assert len(told) < 50
     other = next(name for name in "de" if name != owner)
     assert fleet.agents[owner].ask(Migrate("Count", to=other)).ok
     fleet.run_for(2.0)
     assert where(fleet) == [other]
+
+
+def test_task_that_was_taken_over_moves_on_although_no_other_guardian_of_its_birthplace_is_left(fleet: Fleet) -> None:
+    """Its new guardians know it themselves."""
+    owner = replaced(fleet)
+    members = {it.agent for one in record(fleet, owner).register.sets for it in one}
+    fleet.crash("c" if owner == "b" else "b")
+    come_back(fleet, "")
+    assert where(fleet) == [owner] and record(fleet, "a").owned, "or this proves nothing"
+    other = next(name for name in "de" if name != owner and name in members)
+    assert fleet.agents[owner].ask(Migrate("Count", to=other)).ok
+    fleet.run_for(2.0)
+    assert where(fleet) == [other]
+
+
+def test_birthplace_of_a_task_that_was_taken_over_has_nothing_left_of_it_once_it_has_come_back(fleet: Fleet) -> None:
+    owner = replaced(fleet)
+    come_back(fleet, "")
+    assert where(fleet) == [owner] and not record(fleet, "a").owned
 
 
 def test_one_member_alone_has_no_task_taken_over(fleet: Fleet) -> None:

@@ -4,7 +4,7 @@ from services.counting import Count
 from services.numbered import SINK, Numbered, Sink, numbers, upto
 from services.strangers import identity, say
 
-from pancakes.control import Describe, Guarding, Reply, Stop
+from pancakes.control import Describe, Guarding, Migrate, Reply, Stop
 from pancakes.devices.driver import Actuator
 from pancakes.durable.messages import Accept, Prepare
 from pancakes.durable.record import TaskId
@@ -66,6 +66,10 @@ def guarded(name, cls, takeover="auto", **others):
 
 def record(fleet, name, agent="a"):
     return fleet.agents[agent].agent.records.get(TaskId("a", name))
+
+
+def members(fleet, agent):
+    return {one.agent for one in record(fleet, "Count", agent).members}
 
 
 def test_its_actuators_are_held_when_the_permit_is_over():
@@ -222,6 +226,22 @@ def test_the_guardians_of_a_paused_task_are_asked_as_soon_as_they_are_linked_aga
             assert fleet.run_until(lambda: running(fleet, "Count") == ["a"], 5.0)
             waited_s.append(fleet.now() - linked_s)
         assert max(waited_s) < 0.1, "longer than a round trip"
+
+
+def test_a_former_owner_that_was_replaced_as_a_guardian_while_it_was_away_has_nothing_left_of_the_task():
+    with guarded("Count", Count) as fleet:
+        a = fleet.agents["a"]
+        fleet.faults.cut("a")
+        assert fleet.run_until(lambda: set(running(fleet, "Count")) & {*"bcd"}, 10)
+        (owner,) = running(fleet, "Count")
+        assert fleet.run_until(lambda: all(members(fleet, name) == {"b", "c", "d"} for name in "bcd"), 120.0)
+        fleet.faults.calm()
+        assert fleet.run_until(lambda: record(fleet, "Count").standing is Standing.RELEASED, 30.0)
+        fleet.run_for(1.0)
+        assert a.running() == [] and running(fleet, "Count") == [owner] and not record(fleet, "Count").snapshot
+        assert a.lines("error") == []
+        assert fleet.agents[owner].ask(Migrate("Count", to="a")).ok
+        assert fleet.run_until(lambda: running(fleet, "Count") == ["a"], 10.0)
 
 
 def test_a_task_that_its_file_guards_no_more_has_no_other_member():

@@ -92,8 +92,8 @@ class Healing:
     def _is_confirmed(self, index: int, message: Any) -> bool:
         if type(message) is Prepare:
             return message.epoch.minter in self.names
-        have = {self.names[it] for it in self.here if self.registers[it].promised == message.register.epoch}
-        return is_vouched(self.names[index], self.registers[index], self.leases[index], message, have)
+        registers = {self.names[it]: self.registers[it] for it in self.here}
+        return is_vouched(self.names[index], self.registers[index], self.leases[index], message, registers)
 
     def _feed(self, index: int, event: Any) -> None:
         self._carry_out(index, self.search.effects_of(self._local(index), event))

@@ -252,8 +252,8 @@ MUTANTS: Final = (
         "an owner that the members have passed keeps others out by the leases that it asks for",
         "removed, a taker",
         (
-            "        return [Remember(memory._replace(behind=True))]\n    # A member",
-            "        return []\n    # A member",
+            "        return [Remember(memory._replace(behind=True)), *asks]\n    # A member",
+            "        return asks\n    # A member",
         ),
     ),
     _edit(
@@ -278,6 +278,11 @@ MUTANTS: Final = (
             "if me in register.members and not register.unguarded and not (is_by_person and register.owner == me):",
             "if False:",
         ),
+    ),
+    _edit(
+        "an owner leaves the members itself",
+        "a former owner replaced",
+        (" or place.me not in event.members:", ":"),
     ),
     _edit(
         "the new members decide before a quorum of both sets knows",

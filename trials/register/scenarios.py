@@ -200,6 +200,8 @@ GUARDED: Final = (
         must="B D",
     ),
     guarded("migration, a letter", owner="B", heirs="A", letters=1, left={"moves": 1}, must="A B"),
+    guarded("a taker, refusals are heard", known=True, numbers=1, takers="B", must="A B"),
+    guarded("a former owner replaced", agents="ABCD", swap="BCD", takers="B", left={"swaps": 1}, must="A B swapped"),
     guarded("a member replaced", agents="ABCD", swap="ABD", takers="C", left={"swaps": 1}, must="A C swapped"),
     guarded("migration given up, states late", owner="B", heirs="A", left={"moves": 1}, lags=True, must="A B"),
     guarded("a member's disk lost, a letter", wipes="B", takers="C", letters=1, left={"wipes": 1}, must="A C wiped"),
@@ -274,6 +276,16 @@ LIARS: Final = (
 SUITE: Final = (*UNGUARDED, *GUARDED)
 
 DEEP: Final = (
+    guarded(
+        "deep: a former owner replaced, news",
+        agents="ABCD",
+        known=True,
+        numbers=2,
+        swap="BCD",
+        takers="B",
+        left={"swaps": 1},
+        must="A B swapped",
+    ),
     guarded(
         "deep: a member replaced, states late",
         agents="ABCD",

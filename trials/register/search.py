@@ -559,9 +559,8 @@ class Search:
         local = self.pool[world.locals[index]]
         if type(message) is Prepare:
             return message.epoch.minter.agent in self.s.takers
-        agents = [self.pool[number] for number in world.locals]
-        have = {it.me for it in agents if it.register.promised == message.register.epoch}
-        return is_vouched(local.me, local.register, local.lease, message, have)
+        registers = {it.me: it.register for it in (self.pool[number] for number in world.locals)}
+        return is_vouched(local.me, local.register, local.lease, message, registers)
 
     def _is_within(self, *epochs: Epoch, more: int = 0) -> bool:
         """Return whether an epoch above all of these is within the bounds."""

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final, NamedTuple
 
 from pancakes.durable.register import (
+    MORE_THAN_MIGRATIONS,
     NOBODY,
     Epoch,
     Identity,
@@ -165,8 +167,19 @@ class Result:
     trace: tuple[str, ...] = ()
 
 
-def is_vouched(me: Identity, register: Register, lease: Lease, message: Any, promised: set[Identity]) -> bool:
-    """Return whether others confirm the claim of an honest agent; `promised`: those that have promised its epoch."""
+def is_vouched(
+    me: Identity, register: Register, lease: Lease, message: Any, registers: Mapping[Identity, Register]
+) -> bool:
+    """Return whether others confirm the claim of an honest agent; `registers`: what each agent has."""
+    new = message.register
+    is_by_person = new.epoch.n - register.epoch.n >= MORE_THAN_MIGRATIONS // 2
+    is_owner = register.owner == me in register.members and not register.unguarded
+    if type(message) is Known and is_owner and not is_by_person:
+        # It lets go once its former members and the present ones need it no more.
+        passed = {it for it, has in registers.items() if max(has.epoch, has.promised) >= new.epoch} - {me}
+        without = {it for it, has in registers.items() if has.epoch >= new.epoch and me not in has.members}
+        return is_quorum(register.sets, passed) and is_quorum(new.sets, without)
+    promised = {it for it, has in registers.items() if has.promised == new.epoch}
     is_for_member = type(message) is Accept and me in message.register.members
     if not is_for_member or me not in register.members or register.unguarded:
         return True
