@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterable, Mapping
+from heapq import heapify, heappop, heappush
 from typing import Final
 
 import msgspec
@@ -40,6 +41,10 @@ MOST_AGENTS: Final = 256
 """Rows of at most this many other agents count."""
 MOST_DROPPED: Final = 3
 """An agent that had to give a lot back this often, as others did not do their part of it, leaves it in this round."""
+PLANNED: Final = 20_000
+"""How many lots an agent plans at once, in all timetables that it tries for its bundle: meanwhile it answers nobody."""
+PLANNED_PER_S: Final = 40_000
+"""How many more it may plan with each host second; what it cannot try now, it tries in a later tick."""
 
 
 class RoundTimes(msgspec.Struct, frozen=True):
@@ -113,6 +118,8 @@ class Round:
         self._answers: set[str] = set()  # the agents that want an answer
         self._hears: dict[str, frozenset[str]] = {}  # the agents that a peer hears of, by its newest row
         self._said_s: dict[str, float] = {}
+        self._may_plan, self._planned_s = float(PLANNED), now_s
+        self._is_behind = False  # whether its bundle is not what it would be, as it may plan no more for now
         row = Row(id.number, id.starter, dry_run, 1, at_most, crowding, dict(lots))
         self._rows = {me: row}
         self._market = market_of(self._rows)
@@ -236,9 +243,11 @@ class Round:
         if self.over:
             return False
         times = self._times
+        if self._is_behind:
+            self._bid(now_s)
         if now_s < self._began_s + times.latest_s:
             quiet = now_s >= max(self._changed_s + times.quiet_s, self._began_s + times.join_s)
-            if not quiet or not self.agreed or not self._is_priced():
+            if not quiet or self._is_behind or not self.agreed or not self._is_priced():
                 return False
             if alone := self._alone():
                 # Others can use the places that a part of a group takes up.
@@ -277,24 +286,48 @@ class Round:
 
     def _bid(self, now_s: float, changed: bool = False) -> None:
         """Release what is outbid, and add the lots with the highest bids."""
-        own, market = self.row, self._market
-        best = self._best(self._others())
-        bundle = self._kept(own.bundle, best)
-        while len(bundle) < own.at_most:
-            bids = [
-                (bid, key)
-                for key in market.lots
-                if key not in bundle and (bid := self._winning(key, len(bundle), best)) is not None
-            ]
-            fits = (key for _, key in sorted(bids, key=lambda it: (-it[0], it[1])) if self._fits(key, bundle, best))
-            key = next(fits, None)
-            if key is None:
-                break
-            bundle = (*bundle, key)
+        own = self.row
+        self._may_plan = min(PLANNED, self._may_plan + PLANNED_PER_S * (now_s - self._planned_s))
+        self._planned_s = now_s
+        bundle = own.bundle
+        self._is_behind = self._may_plan <= 0
+        if not self._is_behind:
+            best = self._best(self._others())
+            bundle = self._added(self._kept(bundle, best), best)
         if changed or bundle != own.bundle:
             self._changed_s = now_s
             self._rows[self.me] = replace(own, bundle=bundle, seq=own.seq + 1)
-            self._market = msgspec.structs.replace(market, rows=dict(self._rows))
+            self._market = msgspec.structs.replace(self._market, rows=dict(self._rows))
+
+    def _added(self, bundle: tuple[str, ...], best: Mapping[str, tuple[str, float]]) -> tuple[str, ...]:
+        """Return a bundle with the lots added that have the highest bids, of those that fit.
+
+        One that does not fit does not fit into a larger bundle either, unless it waits for a lot that is added.
+        """
+        market, place = self._market, len(bundle)
+        bids = [
+            (-bid, key)
+            for key in market.lots
+            if key not in bundle and (bid := market.bid(self.me, key, place)) is not None and bid > LEAST_GAIN
+        ]
+        heapify(bids)
+        waiting: dict[str, list[tuple[float, str]]] = {}
+        while bids and len(bundle) < self.row.at_most:
+            bid, key = heappop(bids)
+            if self._winning(key, len(bundle), best) is None:
+                continue
+            nobody_has = next((it for it in market.before[key] if it not in best and it not in bundle), None)
+            if nobody_has is not None:
+                waiting.setdefault(nobody_has, []).append((bid, key))
+                continue
+            if self._may_plan <= 0:
+                self._is_behind = True
+                break
+            if self._fits(key, bundle, best):
+                bundle = (*bundle, key)
+                for other in waiting.pop(key, ()):
+                    heappush(bids, other)
+        return bundle
 
     def _winning(self, key: str, place: int, best: Mapping[str, tuple[str, float]]) -> float | None:
         """Return the agent's bid for a lot; None: it makes none, or another one is higher."""
@@ -306,29 +339,39 @@ class Round:
 
     def _kept(self, bundle: tuple[str, ...], best: Mapping[str, tuple[str, float]]) -> tuple[str, ...]:
         """Return the bundle up to the first lot that is outbid, or that others make impossible."""
-        kept: tuple[str, ...] = ()
-        for place, key in enumerate(bundle):
-            if key not in self._market.lots or self._winning(key, place, best) is None:
+        count = 0
+        for key in bundle:
+            if key not in self._market.lots or self._winning(key, count, best) is None:
                 break
-            if not self._fits(key, kept, best):
-                self._dropped[key] = self._dropped.get(key, 0) + 1
-                break
-            kept = (*kept, key)
-        return kept
+            count += 1
+        least, most = 0, count
+        while least < most:  # all of it is tried first: mostly nothing has become impossible
+            tried = most if most == count else (least + most + 1) // 2
+            if self._is_possible(bundle[:tried], best):
+                least = tried
+            else:
+                most = tried - 1
+        if least < count:
+            self._dropped[bundle[least]] = self._dropped.get(bundle[least], 0) + 1
+        return bundle[:least]
 
     def _fits(self, key: str, bundle: tuple[str, ...], best: Mapping[str, tuple[str, float]]) -> bool:
         """Return whether a lot can be added to a bundle: no mate is in it, and all are over in time."""
-        market = self._market
-        if self._dropped.get(key, 0) >= MOST_DROPPED or any(mate in bundle for mate in market.mates[key]):
+        if self._dropped.get(key, 0) >= MOST_DROPPED or any(mate in bundle for mate in self._market.mates[key]):
             return False
+        return self._is_possible((*bundle, key), best)
+
+    def _is_possible(self, mine: tuple[str, ...], best: Mapping[str, tuple[str, float]]) -> bool:
+        """Return whether all lots of a bundle are over in time, as far as is known of what others claim."""
+        market = self._market
         if not market.timed:
             return True
-        mine = (*bundle, key)
         bundles: dict[str, list[str]] = {self.me: list(mine)}
         if any(market.lots[it].lot.after for it in mine):  # else it does not matter what others work at
             for other, (agent, _) in best.items():
                 if other not in mine:
                     bundles.setdefault(agent, []).append(other)
+        self._may_plan -= sum(map(len, bundles.values()))
         ends = timetable(market, bundles)
         return all(in_time(market.lots[it].lot, ends.get(it)) for it in mine)
 

@@ -17,17 +17,17 @@ Bundles = dict[str, list[str]]
 """The lots of each agent, in the order in which it added them."""
 
 WORK: Final = 500_000
-"""So much is tried: the number of timetables times their steps. It bounds the time that an agent thinks."""
+"""How much is tried: the number of timetables times their steps. It bounds how long an agent thinks."""
 MOST_TRIES: Final = 2_000
 """Not more timetables are tried, however small the team is."""
 BIDS: Final = 1_000
-"""To compare the bids of so many pairs of lots counts as much as to try a timetable."""
+"""Comparing the bids of this many pairs of lots counts as much as trying a timetable."""
 GROUP_TRIES: Final = 50
-"""So many timetables are tried for lots that need each other."""
+"""How many timetables are tried for lots that need each other."""
 MOST_GROUP: Final = 32
 """More lots than this that need each other are not looked at."""
 CALMING: Final = 2_000_000
-"""So much is done to avoid migrations: the number of lots that may stay times the steps of a timetable."""
+"""How much is done to avoid migrations: the number of lots that may stay times the steps of a timetable."""
 
 
 def allowed(market: Market, won: Mapping[str, list[str]]) -> Bundles:

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterable, Mapping
+from heapq import heapify, heappop, heappush
 from typing import Annotated, Final
 
 import msgspec
@@ -301,28 +302,46 @@ def timetable(market: Market, bundles: Mapping[str, Collection[str]]) -> dict[st
     Each agent works at one lot after the other: of those that can begin, at the one that has to be over first. A lot
     that takes no time runs beside others. One that waits for a lot that nobody has is missing.
     """
-    lots = market.lots
+    lots, before = market.lots, market.before
     agents = {key: agent for agent, keys in bundles.items() for key in keys if key in lots}
-    before = market.before
     ends = {key: 0.0 for key in agents if not (lots[key].lot.takes_s or before[key])}
     free_s = dict.fromkeys(bundles, 0.0)
-    waiting = sorted(agents.keys() - ends.keys(), key=lambda it: (_due_s(lots[it].lot), it))
-    while waiting:
-        best: tuple[float, float, str] | None = None
-        for key in waiting:
-            if any(it not in ends for it in before[key]):
-                continue
-            ready_s = max((ends[it] for it in before[key]), default=0.0)
-            begin_s = max(ready_s, free_s[agents[key]]) if lots[key].lot.takes_s else ready_s
-            choice = (begin_s, _due_s(lots[key].lot), key)
-            best = choice if best is None or choice < best else best
-        if best is None:
-            break
-        begin_s, _, key = best
-        ends[key] = begin_s + lots[key].lot.takes_s
-        if lots[key].lot.takes_s:
-            free_s[agents[key]] = ends[key]
-        waiting.remove(key)
+    waits = {key: len({it for it in before[key] if it not in ends}) for key in agents if key not in ends}
+    then: dict[str, list[str]] = {}
+    for key in waits:
+        for it in {it for it in before[key] if it not in ends}:
+            then.setdefault(it, []).append(key)
+    # What can begin, the next one first. If its agent is not free by then, it waits in a queue of that agent, of which
+    # only the first is here: else each lot would be looked at again whenever its agent has finished another one.
+    queues: dict[str, list[tuple[float, str]]] = {agent: [] for agent in bundles}
+    queued: set[str] = set()
+    ready = [(0.0, _due_s(lots[key].lot), key) for key, count in waits.items() if not count]
+    heapify(ready)
+    while ready:
+        begin_s, due_s, key = heappop(ready)
+        lot, agent = lots[key].lot, agents[key]
+        if key in ends:
+            continue
+        queue = queues[agent]
+        if lot.takes_s and begin_s < free_s[agent]:
+            if key not in queued:
+                queued.add(key)
+                heappush(queue, (due_s, key))
+                if queue[0] == (due_s, key):
+                    heappush(ready, (free_s[agent], due_s, key))
+            continue
+        ends[key] = begin_s + lot.takes_s
+        if lot.takes_s:
+            free_s[agent] = ends[key]
+            if key in queued:
+                heappop(queue)
+            if queue:
+                heappush(ready, (free_s[agent], *queue[0]))
+        for it in then.get(key, ()):
+            waits[it] -= 1
+            if not waits[it]:
+                ready_s = max(ends[other] for other in before[it])
+                heappush(ready, (ready_s, _due_s(lots[it].lot), it))
     return ends
 
 

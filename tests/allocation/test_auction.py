@@ -9,8 +9,9 @@ import pytest
 from allocation.rounds import Robot, Team, drawn
 from msgspec.structs import replace
 
+from pancakes.durable import auction as auctions
 from pancakes.durable import completion
-from pancakes.durable.auction import Round, RoundId
+from pancakes.durable.auction import PLANNED, PLANNED_PER_S, Round, RoundId
 from pancakes.durable.completion import allowed, calmed, completed
 from pancakes.durable.market import MOST_LOTS, Lot, Market, Row, market_of
 
@@ -223,6 +224,58 @@ def test_of_many_migrations_that_gain_nothing_only_some_are_called_off(monkeypat
     monkeypatch.setattr(Market, "value", lambda _, bundles: float(bundles is not there))
     calmed(market, {"a": there["b"], "b": there["a"]}, there)
     assert 1 <= len(tried) <= 10
+
+
+def test_an_agent_plans_no_more_than_it_may_and_goes_on_in_later_ticks(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """It is an actor: it answers nobody while it plans. Each lot comes after another one, so all are in each plan."""
+    chain = {name: Lot(9.0, takes_s=1.0, after=(before,)) for name, before in zip(NAMES[2:], NAMES, strict=False)}
+    market, there = most_lots(**chain, **dict.fromkeys(NAMES[:2], Lot(9.0, takes_s=1.0)))
+    planned, now_s = 0, 0.0
+    whole = auctions.timetable
+
+    def timetable(market: Market, bundles: dict[str, list[str]]) -> dict[str, float]:
+        nonlocal planned
+        planned += sum(map(len, bundles.values()))
+        return whole(market, bundles)
+
+    monkeypatch.setattr(auctions, "timetable", timetable)
+    rows = market.rows
+    auction = Round("a", RoundId(1, "a"), False, 256, 0.0, rows["a"].lots, now_s)
+    auction.take("b", replace(rows["b"], seq=1, bundle=tuple(there["b"])), now_s)
+    auction.price(rows["a"].costs, {}, now_s)
+    for seq in range(2, 50):  # rows that come at once are no reason to plan more
+        auction.take("b", replace(auction.market.rows["b"], seq=seq), now_s)
+    assert 0 < planned <= PLANNED + MOST_LOTS and 0 < len(auction.row.bundle) < 256
+    while len(auction.row.bundle) < 256:
+        now_s += 0.1
+        assert now_s < 5.0 and not auction.tick(now_s)
+        assert planned <= PLANNED + PLANNED_PER_S * now_s + MOST_LOTS
+
+
+def test_what_does_not_fit_is_tried_again_once_others_claim_something_else() -> None:
+    lots = {
+        "a/First": Lot(9.0, takes_s=4.0),
+        "a/Long": Lot(9.0, takes_s=6.0, ends_by_s=6.0),
+        "a/Then": Lot(9.0, takes_s=2.0, ends_by_s=8.0, after=("First",)),
+        "a/Other": Lot(20.0),
+    }
+    auction = Round("a", RoundId(1, "a"), False, 2, 0.0, lots, 0.0)
+    auction.price({"a/Then": 1.0, "a/Other": 1.0}, {}, 0.0)
+    assert auction.row.bundle == ("a/Other",)  # nobody works at what comes before
+    row = Row(1, "a", at_most=2, costs={"a/First": 1.0, "a/Long": 1.0})
+    for seq, (claims, mine) in enumerate(
+        [
+            (("a/First", "a/Long"), ("a/Other",)),
+            (("a/First",), ("a/Other", "a/Then")),
+            (("a/First", "a/Long"), ("a/Other",)),
+            (("a/First",), ("a/Other", "a/Then")),
+        ],
+        1,
+    ):
+        auction.take("b", replace(row, seq=seq, bundle=claims), 0.0)
+        assert auction.row.bundle == mine
 
 
 def test_what_must_come_before_is_allocated_for_what_comes_after_it() -> None:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import itertools
 import math
+from typing import Any
 
 import pytest
 from allocation.rounds import Robot, drawn
 from msgspec.structs import replace
 
+from pancakes.durable import market as markets
 from pancakes.durable.market import (
     MOST_LOTS,
     Lot,
@@ -149,6 +151,56 @@ def test_an_agent_works_at_one_after_the_other_and_first_at_what_is_due_first() 
     found = market({"a": Robot(lots=lots), "b": Robot()})
     ends = timetable(found, {"a": ["a/Long", "a/Soon", "a/Beside"], "b": ["b/Then", "b/Never"]})
     assert ends == {"a/Soon": 2.0, "a/Long": 12.0, "a/Beside": 0.0, "b/Then": 13.0}
+
+
+def planned(found: Market, bundles: dict[str, list[str]]) -> dict[str, float]:
+    """Returns the timetable by its definition: of all lots that can begin, the one that can begin first is next."""
+    agents = {key: agent for agent, keys in bundles.items() for key in keys}
+    ends = {key: 0.0 for key in agents if not (found.lots[key].lot.takes_s or found.before[key])}
+    free_s = dict.fromkeys(bundles, 0.0)
+    while True:
+        can = []
+        for key, agent in agents.items():
+            lot = found.lots[key].lot
+            if key not in ends and all(it in ends for it in found.before[key]):
+                ready_s = max((ends[it] for it in found.before[key]), default=0.0)
+                due_s = math.inf if lot.ends_by_s is None else lot.ends_by_s
+                can.append((max(ready_s, free_s[agent]) if lot.takes_s else ready_s, due_s, key))
+        if not can:
+            return ends
+        begin_s, _, key = min(can)
+        ends[key] = begin_s + found.lots[key].lot.takes_s
+        if found.lots[key].lot.takes_s:
+            free_s[agents[key]] = ends[key]
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_a_timetable_is_that_of_its_definition(seed: int) -> None:
+    found = market(drawn(seed, 3, 20, coupled=True))
+    bundles: dict[str, list[str]] = {agent: [] for agent in found.rows}
+    for number, key in enumerate(found.lots):
+        bundles[sorted(bundles)[number * (seed + 1) % 5 % 3]].append(key)
+    assert timetable(found, bundles) == planned(found, bundles)
+
+
+def test_a_timetable_looks_at_each_lot_a_few_times_at_most(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An auction plans for each lot that it may add: with the square of the lots, a large team's never ended."""
+    chain = {
+        f"a/T{number}": Lot(1.0, takes_s=1.0, after=(f"T{number - 2}",) if number > 1 else ()) for number in range(256)
+    }
+    robots = {"a": Robot(lots=chain), "b": Robot(lots={f"b/U{number}": Lot(1.0, takes_s=1.0) for number in range(256)})}
+    found = market(robots)
+    looked_at = 0
+    whole = markets.heappop
+
+    def heappop(queue: list[Any]) -> Any:
+        nonlocal looked_at
+        looked_at += 1
+        return whole(queue)
+
+    monkeypatch.setattr(markets, "heappop", heappop)
+    assert len(timetable(found, {name: list(robot.lots) for name, robot in robots.items()})) == 512
+    assert 512 <= looked_at <= 4 * 512
 
 
 def test_what_an_allocation_breaks_is_named() -> None:
