@@ -281,13 +281,16 @@ class Answers:
         """Another agent says what it knows of tasks."""
         told: Known = packet.body
         peer = agent_of(packet.source)
-        if told.by.agent != peer or peer not in self._mesh.neighbours():
+        if told.by.agent != peer or peer not in self._registrar.talk.neighbours():
             return
-        claims = told.claims
+        hosts = peer in self._mesh.neighbours()
+        claims = told.claims if hosts else ()
         for claim in claims:
             self._claims.heard(peer, claim)
         for fact in told.facts:
             entry = self._registrar.entries.get(fact.task_id)
+            if entry is not None and not hosts and told.by not in entry.record.members:
+                continue  # a simulated world owns no task, and knows only of those that it guards
             if entry is None or fact.register.state is not None:
                 continue
             if not told.task_ids and fact in claims and entry.record.owned and entry.record.epoch > fact.epoch:
@@ -300,7 +303,7 @@ class Answers:
                 who = "it" if fact.register.owner.agent == peer else str(fact.register.owner)
                 text = f"{peer} says that {who} owns {fact.task_id}, and is not believed: {fault}"
                 self._registrar.log("warning", text)
-        if told.task_ids or claims:
+        if hosts and (told.task_ids or claims):
             self._tell_services(KnownCame(peer, told))
             self._registrar.kernel.tell(COURIER, KnownCame(peer, told))
 
@@ -328,8 +331,7 @@ class Answers:
             return  # the others are asked already: their answers are claims too, and would be asked about without end
         doubts.append(_Doubt(message, peer, fed, {}, now_s + DOUBTED_S))
         self._doubts[task_id] = doubts[-MOST_DOUBTS:]
-        others = [it for it in self._mesh.neighbours() if it != peer]
-        if others:
+        if others := self._others(entry, peer):
             self.ask(others, (task_id,))
 
     def _confirmed_by(self, entry: Entry, by: Identity, fact: Fact) -> None:
@@ -361,7 +363,7 @@ class Answers:
                     own == BLANK
                     or own.owner.agent == peer
                     or any(_knows(it, epoch) for it in said.values())
-                    or not self._others(peer)
+                    or not self._others(entry, peer)
                 )
             if is_by_person and not lease_runs:
                 # Its owner says itself that it is paused for another one, or is not there to say anything.
@@ -385,10 +387,12 @@ class Answers:
             # Of another owner nobody else can know. The task is paused, and nothing of it is lost.
             is_owner = register.owner.agent == peer or not own.unguarded
             return is_owner or any(_knows(fact, epoch) for fact in said.values())
-        return any(_knows(fact, epoch) for fact in said.values()) or not self._others(peer)
+        return any(_knows(fact, epoch) for fact in said.values()) or not self._others(entry, peer)
 
-    def _others(self, peer: str) -> list[str]:
-        return [it for it in self._mesh.neighbours() if it != peer]
+    def _others(self, entry: Entry, peer: str) -> list[str]:
+        """Return the linked agents that may confirm what a peer claims of a task."""
+        may = {*self._mesh.neighbours(), *(it.agent for it in entry.record.members)}
+        return [it for it in self._registrar.talk.neighbours() if it != peer and it in may]
 
     # Old copies of disks ---------------------------------------------------------------------------------------
 

@@ -421,7 +421,10 @@ class Places(dict[TaskId, Place]):
         if slot is None:
             self.at.pop(name, None)
             return
-        here = [place for place in self._by_name.get(name, ()) if place.course.leaving or place.record.here]
+        named = self._by_name.get(name, ())
+        # Without one that is here, the slot was opened for what a former self owned, whose disk was replaced by a copy.
+        here = [place for place in named if place.course.leaving or place.record.here]
+        here = here or [place for place in named if place.record.was_ours]
         place = here[0] if here else self[TaskId(self._me.agent, name)]
         place.slot = slot
         self.at[name] = place

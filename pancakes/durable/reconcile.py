@@ -726,7 +726,7 @@ def _came(step: Step, event: Came) -> None:
         OUTCOMES[write](step, outcome, why)
     if record.owned and (not before.owned or before.epoch != record.epoch):
         _is_owner(step, before)
-    elif before.owned and not record.owned:
+    elif (before.owned or before.was_ours) and not (record.owned or record.was_ours):
         if not (record.removed and step.at.removing):  # else it is here until its members know
             _has_left(step, before)
     elif before.here and not record.here:
@@ -763,7 +763,7 @@ def _is_owner(step: Step, before: Record) -> None:
 
 
 def _has_left(step: Step, before: Record) -> None:
-    """The task was given to another agent, or removed: this one never runs it again under its epoch."""
+    """The task was given to another agent, or removed: this agent, or its former self, never runs it again."""
     life, record = step.life, step.record
     ends = life is not None and life.state in ACTOR
     step.do(Drop(ends))

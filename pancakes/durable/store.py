@@ -99,8 +99,13 @@ class Records:
         return record.service if record is not None else ""
 
     def here(self, name: str) -> TaskId | None:
-        """Returns the task of a name that is here, as the disk says; None: no record says that of any."""
-        return next((record.task_id for record in self._named(name) if record.here), None)
+        """Returns the task of a name that is here, as the disk says; None: no record says that of any.
+
+        What a former self of this agent owned, whose disk was replaced by a copy, is here too if no other task is.
+        """
+        named = self._named(name)
+        found = [record for record in named if record.here] or [record for record in named if record.was_ours]
+        return found[0].task_id if found else None
 
     def _named(self, name: str) -> list[Record]:
         return [record for record in list(self._records.on_disk.values()) if record.task_id.name == name]

@@ -90,3 +90,17 @@ def test_task_that_went_on_after_the_copy_was_made_starts_nowhere_else(fleet: Fl
     assert a.running() == [] and fleet.agents["b"].running() == ["Count"]
     assert a.ask(Describe(target="Count")).result["rest"] == "old copy"
     assert record(fleet).owned is False
+
+
+def test_task_that_was_born_elsewhere_continues_on_a_copied_disk_too(fleet: Fleet):
+    assert fleet.agents["a"].ask(Migrate("Count", to="b")).ok
+    fleet.run_for(3.0)
+    fleet.crash("b")
+    fleet.disk("b").pop(MARK)
+    b = fleet.restart("b")
+    fleet.connect()
+    assert fleet.run_until(lambda: b.running() == ["Count"], 10.0)
+    found = b.agent.records.get(COUNT)
+    assert found is not None and found.owned and b.task("Count").state.n > 10
+    assert b.ask(Migrate("Count", to="a")).ok
+    assert fleet.run_until(lambda: fleet.agents["a"].running() == ["Count"], 5.0)

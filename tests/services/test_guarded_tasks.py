@@ -525,3 +525,42 @@ def test_an_agent_that_guards_no_task_any_more_sleeps_as_it_likes(guarded):
     guarded.crash("a")
     guarded.run_for(5.0)
     assert guarded.agents["b"].ask(Stop("network")).ok
+
+
+def test_an_agent_that_had_the_task_and_whose_disk_was_restored_can_go_on_with_it(fleet):
+    """It was born elsewhere, and nobody else can run it: c keeps it, paused, as an old copy, and is called."""
+    for name in "de":
+        fleet.start(name, role="environment")
+    fleet.connect()
+    assert fleet.run_until(lambda: len(guards(fleet)[0]) == 3, 10)
+    assert fleet.agents["a"].ask(Migrate("Count", to="c")).ok
+    for name, left in (("a", ["b", "c", "d"]), ("b", ["c", "d", "e"])):
+        fleet.crash(name)
+        assert fleet.run_until(lambda left=left: guards(fleet, "c") == [left], 80)
+    before = copy_of(fleet, "c")
+    fleet.run_for(3.0)
+    n = fleet.agents["c"].task("Count").state.n
+    fleet.crash("c")
+    put(fleet, "c", before)
+    c = fleet.restart("c")
+    fleet.connect()
+    assert any("a/Count is paused on c, whose disk is a copy" in it for it in c.lines("warning"))
+    assert fleet.run_until(lambda: where(fleet) == ["c"], 15)
+    assert c.task("Count").state.n >= n - 10 and record(fleet, "c").standing is Standing.OWNER
+
+
+def test_an_agent_whose_disk_was_restored_lets_go_of_what_another_one_has_taken_over_and_can_get_it_again(guarded):
+    assert guarded.agents["a"].ask(Migrate("Count", to="c")).ok
+    before = copy_of(guarded, "c")
+    guarded.run_for(3.0)
+    guarded.crash("c")
+    put(guarded, "c", before)
+    guarded.run_for(9.0)
+    assert where(guarded) in (["a"], ["b"])
+    (owner,) = where(guarded)
+    c = guarded.restart("c")
+    guarded.connect()
+    guarded.run_for(75.0)
+    assert where(guarded) == [owner]
+    assert guarded.agents[owner].ask(Migrate("Count", to="c")).ok
+    assert guarded.run_until(lambda: where(guarded) == ["c"], 5) and c.task("Count").state.n > 70
