@@ -38,6 +38,7 @@ from pancakes.durable.register import (
     Stamp,
     Standing,
     Wanted,
+    is_quorum,
     members_in,
 )
 from pancakes.durable.register_messages import (
@@ -537,9 +538,11 @@ class Registrar(ActorCore):
         register = message.register
         if message.to != NOBODY:
             receivers = [message.to]
+        elif _goes_to_heir_alone(register):
+            receivers = [register.heir]
         else:
             heir = [register.heir] if register.heir not in (NOBODY, ANYONE) else []
-            receivers = [*dict.fromkeys([*entry.record.members, *heir, entry.former])]
+            receivers = [*dict.fromkeys([*heir, *entry.record.members, entry.former])]
         for receiver in receivers:
             if receiver in (self.me, NOBODY):
                 continue
@@ -846,6 +849,16 @@ def _is_tried_again(event: Any) -> bool:
     if isinstance(event, rules.Want):
         return event.wanted is not Wanted.REMOVED
     return isinstance(event, rules.Begin)
+
+
+def _goes_to_heir_alone(register: Register) -> bool:
+    """Return whether only the heir is sent an offer: a large state takes long to send, and the task is paused.
+
+    The heir needs no promise but the owner's, and gives the state to the other members once it owns the task.
+    """
+    if register.heir in (NOBODY, ANYONE) or len(register.state or b"") <= INLINE_BYTES:
+        return False
+    return is_quorum(register.sets, {register.owner, register.heir})
 
 
 def _held_by_asker(fed: Fed | None) -> Stamp | None:
