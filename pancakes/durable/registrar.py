@@ -478,7 +478,7 @@ class Registrar(ActorCore):
             entry.alarm.cancel()
             if ran or entry.dealing is not None:
                 self.takeovers.lease_ended(entry, promised=True)
-        self.note_shortest()
+        self.note_shortest(entry if lease.beat else None)
 
     def _lease_over(self, task_id: TaskId) -> None:
         entry = self.entries[task_id]
@@ -486,8 +486,12 @@ class Registrar(ActorCore):
         self.takeovers.lease_ended(entry, promised=False)
         self.note_shortest()
 
-    def note_shortest(self) -> None:
-        """Keep true for how long this agent may be silent."""
+    def note_shortest(self, granted: Entry | None = None) -> None:
+        """Keep true for how long this agent may be silent; of a lease that was granted it is mostly true already."""
+        shortest = self.state.shortest_lease
+        if granted is not None and shortest is not None and shortest.task_id != granted.record.task_id:
+            if shortest.lease_s <= granted.record.lease_s:
+                return
         leased = [it.record for it in self.entries.values() if it.lease.beat]
         self.state.shortest_lease = min(leased, key=lambda it: (it.lease_s, it.task_id), default=None)
 
@@ -825,11 +829,22 @@ class Registrar(ActorCore):
         size = len(body.state) if body.state is not None else 0
         if register.heir == self.me:
             return self._full_of(peer, body.task_id, IN_DOUBT, size)
-        return self._full_of(peer, body.task_id, GUARDED, size) if is_member else ""
+        if not is_member or (known is not None and _takes_no_more(known.record, peer, body)):
+            return ""
+        return self._full_of(peer, body.task_id, GUARDED, size)
 
     def _full_of(self, peer: str, task_id: TaskId, kind: str, size: int) -> str:
         others = [it.record for it in self.entries.values() if it.record.task_id != task_id]
         return fault_of_room(peer, kind, others, size)
+
+
+def _takes_no_more(record: Record, peer: str, news: messages.Accept) -> bool:
+    """Return whether a task that is guarded for a peer takes no more room than before, as after most news of it."""
+    if record.standing is not Standing.MEMBER or record.seen.minter.agent != peer:
+        return False
+    if news.state is None:  # it may come in pieces
+        return news.register.stamp <= record.register.stamp
+    return len(news.state) <= len(record.snapshot)
 
 
 def _too_late(record: Record, feed: Feed) -> str:

@@ -238,8 +238,9 @@ CHECK_S: Final = 0.8
 """How often, in seconds, the directory is checked."""
 MOST_AHEAD_BYTES: Final = 16 * 2**20
 """If the write-ahead file would become longer, its entries get files of their own, ..."""
-MOST_AHEAD: Final = 1000
-"""... and if it would have more entries: a disk may take half a second for this many files."""
+MOST_AHEAD: Final = 2000
+"""... and if it would have more entries: a disk may take a second for this many files. An agent with a thousand tasks
+has not as many while it starts."""
 MOST_AT_END: Final = 100
 """With more entries than this, they stay there when the journal closes: its agent has two seconds to end."""
 LARGE_BYTES: Final = 256 * 2**10
