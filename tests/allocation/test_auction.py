@@ -226,7 +226,7 @@ def test_of_many_migrations_that_gain_nothing_only_some_are_called_off(monkeypat
     assert 1 <= len(tried) <= 10
 
 
-def test_an_agent_plans_no_more_than_it_may_and_goes_on_in_later_ticks(
+def test_agent_plans_within_its_budget(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """It is an actor: it answers nobody while it plans. Each lot comes after another one, so all are in each plan."""
@@ -254,7 +254,7 @@ def test_an_agent_plans_no_more_than_it_may_and_goes_on_in_later_ticks(
         assert planned <= PLANNED + PLANNED_PER_S * now_s + MOST_LOTS
 
 
-def test_what_does_not_fit_is_tried_again_once_others_claim_something_else() -> None:
+def test_what_did_not_fit_is_tried_again() -> None:
     lots = {
         "a/First": Lot(9.0, takes_s=4.0),
         "a/Long": Lot(9.0, takes_s=6.0, ends_by_s=6.0),

@@ -92,7 +92,7 @@ def test_task_that_went_on_after_the_copy_was_made_starts_nowhere_else(fleet: Fl
     assert record(fleet).owned is False
 
 
-def test_task_that_was_born_elsewhere_continues_on_a_copied_disk_too(fleet: Fleet):
+def test_task_born_elsewhere_continues_on_a_copied_disk(fleet: Fleet):
     assert fleet.agents["a"].ask(Migrate("Count", to="b")).ok
     fleet.run_for(3.0)
     fleet.crash("b")

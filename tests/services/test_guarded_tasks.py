@@ -527,7 +527,7 @@ def test_an_agent_that_guards_no_task_any_more_sleeps_as_it_likes(guarded):
     assert guarded.agents["b"].ask(Stop("network")).ok
 
 
-def test_an_agent_that_had_the_task_and_whose_disk_was_restored_can_go_on_with_it(fleet):
+def test_restored_disk_takes_a_task_born_elsewhere(fleet):
     """It was born elsewhere, and nobody else can run it: c keeps it, paused, as an old copy, and is called."""
     for name in "de":
         fleet.start(name, role="environment")
@@ -549,7 +549,7 @@ def test_an_agent_that_had_the_task_and_whose_disk_was_restored_can_go_on_with_i
     assert c.task("Count").state.n >= n - 10 and record(fleet, "c").standing is Standing.OWNER
 
 
-def test_an_agent_whose_disk_was_restored_lets_go_of_what_another_one_has_taken_over_and_can_get_it_again(guarded):
+def test_restored_disk_lets_go_of_a_task_taken_over(guarded):
     assert guarded.agents["a"].ask(Migrate("Count", to="c")).ok
     before = copy_of(guarded, "c")
     guarded.run_for(3.0)
