@@ -88,7 +88,7 @@ class Round:
     Args:
         me: the agent.
         id: which round it is.
-        dry_run: whether nothing is to be moved.
+        dry_run: whether nothing is moved.
         at_most: how many lots the agent takes.
         crowding: what each lot in its bundle takes off its next bid.
         lots: what the agent puts up, by task.
@@ -209,7 +209,7 @@ class Round:
     # What goes out ------------------------------------------------------------------------------------------------
 
     def due(self, peers: Iterable[str], now_s: float) -> list[tuple[str, Row]]:
-        """Return what is to be said now, and to whom: to be called after each change, and each `say_again_s`.
+        """Return what to say now, and to whom: to be called after each change, and each `say_again_s`.
 
         Args:
             peers: the linked agents.

@@ -265,7 +265,7 @@ class TaskMigrator(TaskCore, Task):
     def _service_began(self, service: Reference) -> None:
         for task_id, (_, owner) in list(self._negotiations.items()):
             if owner is not service and owner.name == service.name:
-                self._finish(task_id, f"{owner.address} was started anew")
+                self._finish(task_id, f"{owner.address} was started again")
 
     # Negotiating -----------------------------------------------------------------------------------------------
 

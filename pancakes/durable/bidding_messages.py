@@ -30,7 +30,7 @@ class AllocationAsked(msgspec.Struct, frozen=True):
     Attributes:
         service: the service.
         request: the request.
-        dry_run: whether nothing is to be moved.
+        dry_run: whether nothing is moved.
     """
 
     service: Reference
@@ -63,7 +63,7 @@ class Negotiate(msgspec.Struct, frozen=True):
         request: what they are asked.
         asked_by: as in `MigrationReport`.
         to: the only neighbour to ask; empty: all.
-        dry_run: whether nothing is to be moved.
+        dry_run: whether nothing is moved.
         lost: the agent that had it and is silent: this agent may take it too; empty: this agent has it.
         cause: as in `MigrationReport`.
     """

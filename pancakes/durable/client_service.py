@@ -1,7 +1,7 @@
 """The Client Service: hosts the user's tasks, and opens the channels that they talk on (paper §3.3).
 
 It is the one place where the events of a task come together. `reconcile` decides, and this actor carries the effects
-out, strictly in order. The registrar of the agent keeps the registers of the tasks: it is fed what is to be written,
+out, strictly in order. The registrar of the agent keeps the registers of the tasks: it is fed what to write,
 and says how each task stands. Subclass `ClientService` for a service of your own whose tasks are durable.
 """
 
@@ -90,7 +90,7 @@ class ClientServiceCore(ServiceCore):
         outbox: what its tasks have sent to others and is not acknowledged.
         state: what this agent could be to a task from elsewhere.
         mesh: says what neighbours are connected.
-        births: what is to be asked before a task is born.
+        births: what to ask before a task is born.
         ledgers: the account of tasks that are created and removed.
         described: reads the table of a task that no file names.
 
@@ -264,7 +264,7 @@ class ClientServiceCore(ServiceCore):
         return slot
 
     def guard(self, place: Place) -> None:
-        """Tell the registrar how a task is to be guarded."""
+        """Tell the registrar how to guard a task."""
         slot = place.slot
         if slot is not None and place.record.owned and (slot.spec.guard is not None or place.record.guarded):
             rule = slot.spec.guard if place.removal is None else None

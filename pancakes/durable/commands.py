@@ -51,7 +51,7 @@ def task_meant(
     lost: Sequence[Lost],
     verb: str = "adopt",
 ) -> Record | Lost:
-    """Returns what is known of the task that is to be adopted or forgotten.
+    """Return what is known of the task to be adopted or forgotten.
 
     Args:
         service: address of the service that is asked.
@@ -59,7 +59,7 @@ def task_meant(
         birthplace: the agent that it was born on; empty: any.
         records: what the service has of tasks of this name.
         lost: those of this name whose records were lost.
-        verb: what is to be done: `adopt`, or `forget`, which is for the latter, and for what another agent has brought
+        verb: what to do: `adopt`, or `forget`, which is for the latter, and for what another agent has brought
             and not handed over.
 
     Raises:
@@ -336,7 +336,7 @@ class Recoveries:
             host.reply(request, Refusal("failed", f"{task_id} is not forgotten: {why or 'it was decided otherwise'}"))
 
     def _place(self, task_id: TaskId) -> Place:
-        """Returns the place of a task that is to be decided about.
+        """Return the place of a task to be decided about.
 
         Raises:
             ControlRefusedError: a decision about it is being written down.
@@ -500,7 +500,7 @@ class Creations:
     def _elsewhere(self, fact: Fact) -> str:
         task_id, owner = fact.task_id, fact.owner
         if not owner:
-            return f"{task_id} was there before (epoch {fact.epoch}), and where it is is not known: choose another name"
+            return f"{task_id} was there before (epoch {fact.epoch}), and nobody knows where it is: choose another name"
         text = f"{task_id} is on {owner} (epoch {fact.epoch})"
         if self._host.connected(owner):
             return f"{text}: choose another name, or end that one with `pancakes task remove {owner}/{task_id.name}`"
@@ -555,7 +555,7 @@ class Creations:
         if task_id.birthplace == host.agent and slot.name in host.residents:
             raise ControlRefusedError(
                 f"{slot.address} is in the configuration of {host.agent}: take [task.{slot.name}] out of its file,"
-                f" start {host.agent} anew, and remove it then; until then, `pancakes task stop` stops it"
+                f" start {host.agent} again, and remove it then; until then, `pancakes task stop` stops it"
             )
         if not slot.spec.created:
             raise ControlRefusedError(

@@ -163,7 +163,7 @@ class _Search:
         return None
 
     def _ways(self, won: Bundles) -> Iterator[tuple[Collection[str], str]]:
-        """Yield which lots are taken back, and which one is to be given away first; empty: none in particular."""
+        """Yield which lots are taken back, and which one to give away first; empty: none in particular."""
         has = [key for keys in won.values() for key in keys]
         missing = self._by_value(self._market.lots.keys() - set(has))
         bundles = [keys for keys in won.values() if keys]

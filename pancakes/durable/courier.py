@@ -104,7 +104,7 @@ class Outbox:
             self._named[stream.name_for(str(task_id))] = stream
 
     def take_unsent(self) -> Sequence[ToSend]:
-        """Return what is to be sent now, in order, and forget that."""
+        """Return what to send now, in order, and forget that."""
         with self._lock:
             unsent, self._unsent = self._unsent, []
         return unsent
@@ -142,7 +142,7 @@ class Outbox:
                 self._unsent += stream.forwarded(news, peer, now_s)
 
     def look(self, now_s: float) -> None:
-        """Look for what was not acknowledged for too long: that is to be sent again."""
+        """Look for what was not acknowledged for too long: send that again."""
         with self._lock:
             self._look(now_s)
 

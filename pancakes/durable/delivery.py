@@ -297,7 +297,7 @@ class Outgoing:
         return (to.epoch_n, to.host) if to is not None else None
 
     def post(self, task_id: TaskId, packet: bytes, host: str, now_s: float) -> list[ToSend]:
-        """Takes a packet, and returns what is to be sent now.
+        """Take a packet, and return what to send now.
 
         Args:
             task_id: the task that it is for.
@@ -388,7 +388,7 @@ class Outgoing:
         return self._again(news.task_id, to, now_s)
 
     def due(self, now_s: float) -> list[ToSend]:
-        """Returns what is to be sent again."""
+        """Return what to send again."""
         out: list[ToSend] = []
         for task_id, to in self._to.items():
             if not to.packets or to.due_s > now_s:

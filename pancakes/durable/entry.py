@@ -110,7 +110,7 @@ class Entry(msgspec.Struct):
         held: of a task that this agent owns: what its members have said; None: it owns it not.
         former: the agent from which this one took the task last.
         attempt: how often something was said again.
-        reminder: says it again; None: nothing is to be said.
+        reminder: says it again; None: nothing needs to be said.
         reminded: what that timer is about.
         heard_s: when the owner was heard last, in host time.
         as_of_s: when the task was known last to be as its state here says, in host time.

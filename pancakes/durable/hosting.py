@@ -186,7 +186,7 @@ class Move(msgspec.Struct):
         request: what the neighbours are asked.
         then: a task to start here once the other has gone.
         answer: the request to answer; None: a rule asked.
-        dry_run: whether nothing is to be moved.
+        dry_run: whether nothing is moved.
         ledger: the account as it stands while a migration is under way; None before the first, and between two.
     """
 
@@ -219,7 +219,7 @@ class Recovery(msgspec.Struct, frozen=True):
 
 
 class Creation(msgspec.Struct, frozen=True):
-    """A task is to be created here.
+    """Create a task here.
 
     Attributes:
         request: the request to answer.

@@ -149,7 +149,7 @@ class Leases:
         self._registrar.kernel.permits.revoke(right_of(entry.record))
 
     def learn(self, entry: Entry, told: Guarded) -> None:
-        """A service says how a task is to be guarded, and how new its checkpoint is."""
+        """A service says how to guard a task, and how new its checkpoint is."""
         held = entry.held
         if held is None:
             return
@@ -352,7 +352,7 @@ class Leases:
     def _replace(self, entry: Entry, chosen: tuple[Identity, ...]) -> None:
         if set(chosen) != set(entry.record.register.sets[0]):
             task_id, names = entry.record.task_id, [one.agent for one in chosen]
-            self._registrar.log("info", f"{task_id} is to be guarded by {', '.join(names)}")
+            self._registrar.log("info", f"{task_id} will be guarded by {', '.join(names)}")
             self._registrar.event("guards_chosen", task=task_id.name, guardians=names)
             self._registrar.feed(entry, Fed(rules.SetMembers(chosen)))
 

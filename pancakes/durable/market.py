@@ -70,7 +70,7 @@ class Row(msgspec.Struct, frozen=True):
         number: the number of the round; of two rounds the one with the higher number counts, then the one with the
             lower `starter`.
         starter: the agent that began it.
-        dry_run: whether nothing is to be moved.
+        dry_run: whether nothing is moved.
         seq: the number of the row; the newest row of an agent counts.
         at_most: how many lots it takes.
         crowding: what each lot in its bundle takes off its next bid.
@@ -173,7 +173,7 @@ def bid_of(offered: Offered, agent: str, cost: float, place: int, crowding: floa
 
 
 class Market(msgspec.Struct, frozen=True):
-    """All that is known of lots and agents: what is to be allocated.
+    """All that is known of lots and agents: what to allocate.
 
     Attributes:
         lots: the lots, by task.

@@ -402,7 +402,7 @@ class Mover:
             if place.account is not None:
                 self._host.kernel.tell(MIGRATOR, place.account)
             elif place.move is not None and place.move.ledger is None:
-                self._over(place, MoveOver(place.task_id, "the Task Migrator was started anew", None))
+                self._over(place, MoveOver(place.task_id, "the Task Migrator was started again", None))
 
     # What migrations ask for ------------------------------------------------------------------------------------
 
@@ -422,8 +422,8 @@ class Mover:
 
     def _conclude(self, place: Place, effect: HandedOver, sequel: Sequel) -> None:
         host, task_id, peer = self._host, place.task_id, effect.peer
-        anew = f"the Task Migrator of {host.agent}" if place.move is not None else host.address
-        on_its_way = f"{anew} was started anew while the task was on its way"
+        keeper = f"the Task Migrator of {host.agent}" if place.move is not None else host.address
+        on_its_way = f"{keeper} was started again while the task was on its way"
         note = f"{on_its_way}, so the duration ends with the choice of {peer}"
         # Where the migrator does not run, it is told once it does.
         place.account = HasMoved(host, task_id, peer, str(effect.epoch), sequel.ledger, note)

@@ -281,7 +281,7 @@ class Births:
         host: the service.
         records: what this agent knows.
         mesh: says which of the agents that are to be asked were met.
-        rule: what is to be asked.
+        rule: what to ask.
         questions: asks them.
     """
 
@@ -616,7 +616,7 @@ class Disputes:
         host: the service.
         records: what this agent knows.
         mesh: says what neighbours there are.
-        rule: what is to be asked before a task is born.
+        rule: what to ask before a task is born.
 
     Attributes:
         questions: what other agents are asked.

@@ -210,7 +210,7 @@ class ServiceBegan(msgspec.Struct, frozen=True):
     """Its service begins, and starts it if it is here and has a place.
 
     Attributes:
-        fresh: whether it is to begin as the configuration says, whatever its record says.
+        fresh: whether it begins as the configuration says, whatever its record says.
     """
 
     fresh: bool = False
@@ -227,7 +227,7 @@ class Room(msgspec.Struct, frozen=True):
         reason: why it cannot run here now; empty: it can.
         for_good: whether to try again is no use.
         waits: whether it waits for what other agents know, and its actuators are kept for it meanwhile.
-        snapshot: what it is to begin with, encoded; empty: what its record says.
+        snapshot: what it begins with, encoded; empty: what its record says.
         floor: the highest epoch that any other agent knows of it, if it begins now.
     """
 
@@ -384,7 +384,7 @@ class Course(msgspec.Struct, frozen=True):
         pending: the writes that are under way.
         asks: the start waits for the writes before it; whether it was running, and failed. None: no start waits.
         granted: the start has leave, and waits until the actor may run.
-        starts: it is to be started as soon as its actor may run.
+        starts: whether to start it as soon as its actor may run.
         rests: its life waits until its rest is written, and counts.
         rests_left: how many writes of a rest do not count yet; the last one says how it rests.
         leaving: another agent has it, and its place is cleared once its actor has ended.

@@ -68,7 +68,7 @@ class Record(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         service: the service that looks after the task; empty: none does here, as the agent only guards it.
         type: entry point name of its class.
         lease_s: how long a lease on it is, in host seconds.
-        sequel: what is to be done here once the task has gone, an encoded `Sequel`; empty: nothing, or nothing more.
+        sequel: what to do here once the task has gone, an encoded `Sequel`; empty: nothing, or nothing more.
         gave: the agent to which this one gave the task last; empty: none. Unlike the register, no other agent's word
             changes it.
     """

@@ -62,7 +62,7 @@ class Feed(msgspec.Struct, frozen=True):
 
 
 class Guarded(msgspec.Struct, frozen=True):
-    """How a task is to be guarded from now on; None: it is not.
+    """How a task will be guarded from now on; None: it will not.
 
     Attributes:
         type: entry point name of its class.

@@ -189,7 +189,7 @@ class Want(NamedTuple):
 
     Attributes:
         wanted: what is wanted.
-        state: its state at the end, or with which it is to begin; None: that does not change.
+        state: its state at the end, or with which it begins; None: that does not change.
     """
 
     wanted: Wanted
@@ -293,7 +293,7 @@ class Counts(NamedTuple):
 
 
 class Ask(NamedTuple):
-    """The claim of a message is to be confirmed; see `Confirmed`."""
+    """The claim of a message must be confirmed; see `Confirmed`."""
 
     message: Accept | Prepare | Known
 

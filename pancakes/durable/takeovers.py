@@ -361,7 +361,7 @@ class Takeovers:
 
     def _not_believed(self, peer: str, task_id: TaskId, why: str) -> None:
         if self._unbelieved.is_news(peer, f"{task_id} {why}"):
-            text = f"{peer} says that {task_id} is to be taken over, and is not believed: {why}"
+            text = f"{peer} says that {task_id} should be taken over, and is not believed: {why}"
             self._registrar.log("warning", text)
 
     # What a person asks for ------------------------------------------------------------------------------------
@@ -388,7 +388,7 @@ class Takeovers:
         return [*self._kept(), *(it for it in waits if not it.record.guarded)]
 
     def _to_take(self, body: Take) -> Entry:
-        """Return the task that is to be taken over.
+        """Return the task to be taken over.
 
         Raises:
             ControlRefusedError: this agent guards none, or two, of this name; or its owner is not silent.
@@ -409,7 +409,7 @@ class Takeovers:
         return entry
 
     def _take(self, asked: AskedOfGuardian, entry: Entry) -> None:
-        """A person says that a task is to be taken over.
+        """A person says that a task should be taken over.
 
         Raises:
             ControlRefusedError: it does not wait for that.
@@ -438,7 +438,7 @@ class Takeovers:
             tell(asked.root, GuardianAnswers(asked.request, Refusal.if_any(reason), result))
 
     def _row(self, entry: Entry) -> dict[str, Any]:
-        """Return what is to be known about a task that is guarded here, as plain values."""
+        """Return what there is to know about a task that is guarded here, as plain values."""
         registrar, record = self._registrar, entry.record
         now_s, owner = registrar.kernel.host.now(), record.seen.minter.agent
         row = {

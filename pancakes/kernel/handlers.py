@@ -307,7 +307,7 @@ _PACKET_NAMES: Final = ("Packet", "Any", "object")
 
 
 def _given_to(method: Callable[..., Any], body: type | str | None, around: FrameType) -> tuple[Given, str | None]:
-    """Return what a handler is to be called with, and the packet type that its annotation names, if one is wanted.
+    """Return what a handler is called with, and the packet type that its annotation names, if one is wanted.
 
     Args:
         method: the handler.

@@ -105,7 +105,7 @@ class SharedThings:
         self._things: dict[str, Future[Any]] = {}
 
     def get(self, key: str, make: Callable[[], Any]) -> Any:
-        """Return the thing under `key`, making it first where it is not there.
+        """Return the thing under `key`, making it first if it is not there.
 
         A driver that opens while another makes the thing waits for that.
         """

@@ -243,7 +243,7 @@ def test_a_task_that_a_file_names_is_not_removed(fleet: Fleet) -> None:
     a, b = fleet.start("a", tasks={"Count": "test.Count"}), fleet.start("b")
     fleet.connect()
     assert a.ask(Remove("Count")).reason.startswith(
-        "a/client/Count is in the configuration of a: take [task.Count] out of its file, start a anew"
+        "a/client/Count is in the configuration of a: take [task.Count] out of its file, start a again"
     )
     assert a.ask(Migrate("Count", to="b")).ok
     assert b.ask(Remove("Count")).reason.startswith("a/Count was born from the configuration of a, ")

@@ -519,7 +519,7 @@ def test_migration_is_answered_if_the_migrator_fails(fleet):
     a.may_fail.add("network/TaskMigrator")
     a.component("network/TaskMigrator").call(fail)
     reply = a.reply_to(moving)
-    assert not reply.ok and "Task Migrator was started anew" in reply.reason
+    assert not reply.ok and "Task Migrator was started again" in reply.reason
     fleet.run_for(5.0)
     assert hosts(fleet) == ["a"]
     fleet.network.set_quality("a", "b", Quality())

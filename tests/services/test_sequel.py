@@ -1,4 +1,4 @@
-"""What follows a hand-over: `then`, and the account. Neither is forgotten where an agent is started anew in between."""
+"""What follows a hand-over: `then`, and the account. Neither is forgotten if an agent is started again in between."""
 
 from typing import Any
 
@@ -76,7 +76,7 @@ def test_account_after_a_restart_of_the_source(wanted):
             assert a.running() == ["Circle"]
         else:
             assert (account["outcome"], account["winner"], line["fate"]) == ("moved", "b", "won")
-            assert account["reason"].startswith("a/client was started anew while the task was on its way")
+            assert account["reason"].startswith("a/client was started again while the task was on its way")
         assert len(a.events("migration")) == 1
 
 
@@ -119,7 +119,7 @@ def test_hand_over_outlives_a_restart_of_the_migrator(wanted):
         assert reply.ok and reply.result["outcome"] == "moved"
         (account,) = a.ask(Migrations()).result
         assert account["outcome"] == "moved"
-        assert account["reason"].startswith("the Task Migrator of a was started anew")
+        assert account["reason"].startswith("the Task Migrator of a was started again")
 
 
 def test_bids_are_lost_if_the_migrator_restarts():
@@ -129,7 +129,7 @@ def test_bids_are_lost_if_the_migrator_restarts():
         asked = a.publish(SYSCTRL, Migrate("Circle"))
         fleet.run_for(0.001)
         restart_migrator(a)
-        assert a.reply_to(asked).reason == "the Task Migrator was started anew"
+        assert a.reply_to(asked).reason == "the Task Migrator was started again"
         # And it may be asked for again.
         assert a.ask(Migrate("Circle")).ok
 
@@ -188,7 +188,7 @@ def test_sequel_after_a_restart_of_the_service_only(wanted):
         # The register is the agent's, not the service's: the migration goes on meanwhile.
         assert a.running() == ["Home"] and account["outcome"] == "moved"
         assert fleet.agents["b"].running() == ["Circle"]
-        assert "a/client was started anew" in account["reason"]
+        assert "a/client was started again" in account["reason"]
 
 
 @pytest.mark.parametrize("negotiates", ["Owner", "Guardian"])

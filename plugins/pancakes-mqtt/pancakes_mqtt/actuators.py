@@ -169,7 +169,7 @@ class MqttLight(MqttActuator):
 
 
 class MqttMotors(MqttActuator):
-    """Wheels whose controller takes speeds by MQTT (`mqtt.motors`). They stand still at their safe hold."""
+    """Wheels whose controller takes speeds by MQTT (`mqtt.motors`). Their safe hold stops them."""
 
     type = "motors"
 
@@ -179,7 +179,7 @@ class MqttMotors(MqttActuator):
 
         Attributes:
             command: the payload, in which `{v_mps}`, `{omega_radps}` and `{ttl_s}` are filled in; the controller should
-                stand still by itself when no other command comes within `ttl_s` seconds.
+                stop by itself if no other command comes within `ttl_s` seconds.
         """
 
         command: str = '{"v_mps": {v_mps}, "omega_radps": {omega_radps}, "ttl_s": {ttl_s}}'

@@ -127,7 +127,7 @@ class KheperaPort:
         self._say("info", f"speaks with a Khepera III (firmware {'.'.join(map(str, version))}) on {self._port}")
 
     def _take_turn(self, port: Any) -> bool:
-        """Waits for what is to be said, and says it; returns whether there may be more."""
+        """Wait for the next thing to say, and say it; return whether there may be more."""
         with self._news:
             self._news.wait_for(lambda: self._ended or self._speeds or self._questions, 1.0)
             drive, self._speeds = self._speeds, None

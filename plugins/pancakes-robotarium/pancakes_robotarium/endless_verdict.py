@@ -57,7 +57,7 @@ class EndlessLimits:
 
 @dataclass(frozen=True, slots=True)
 class Duty:
-    """A task that is to be served.
+    """A task that should be served.
 
     Attributes:
         name: its name.

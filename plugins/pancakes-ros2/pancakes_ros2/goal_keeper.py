@@ -42,9 +42,9 @@ from pancakes_ros2.ros_node import RosNode
 LOOK_S: Final = 0.05
 """How often it looks whether a command is still fresh."""
 GRAPH_EVERY: Final = 4
-"""Each so many looks it asks ROS 2 which servers there are."""
+"""It asks ROS 2 once in this many looks which servers there are."""
 ALIVE_EVERY: Final = 20
-"""Each so many looks it says that it is at work."""
+"""It tells once in this many looks that it is at work."""
 MARK_LENGTH: Final = 8
 ID_LENGTH: Final = 16
 """Of the UUID of a goal, in bytes."""
@@ -166,7 +166,7 @@ class GoalKeeper:
             del self._cancels[id]
         self._carry_out(self._machine.cancel_answered(id, code, self._now()))
 
-    # What is to be done ------------------------------------------------------------------------------------------
+    # What to do ------------------------------------------------------------------------------------------
 
     def _carry_out(self, effects: list[Effect]) -> None:
         for effect in effects:
@@ -233,7 +233,7 @@ class GoalKeeper:
 def main() -> None:
     """Keeps the goals of one device until the agent is gone and no goal is left."""
     for each in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
-        signal.signal(each, signal.SIG_IGN)  # whoever ends all processes of an agent may end this one last
+        signal.signal(each, signal.SIG_IGN)  # a program that ends all processes of an agent may end this one last
     have_fields_checked()
     number = os.dup(1)
     os.dup2(2, 1)  # what a library prints is not for the agent

@@ -105,7 +105,7 @@ class _Wanted:
 
 @dataclass
 class _Cancelling:
-    """When a goal was first asked to end, and when it is to be asked again."""
+    """When a goal was first asked to end, and when to ask it again."""
 
     since_s: float
     again_s: float
@@ -126,7 +126,7 @@ class _Flight:
 
 
 def _is_of(fields: dict[str, Any] | None, key: Key, command: _Wanted) -> bool:
-    """Return whether a command is about a goal: a task that begins anew may use a number once more."""
+    """Return whether a command is about a goal: a task that begins again may use a number once more."""
     return command.key == key and (command.fields is None or command.fields == fields)
 
 
@@ -155,7 +155,7 @@ class GoalMachine:
     # Events ------------------------------------------------------------------------------------------------------
 
     def want(self, key: Key, fields: dict[str, Any] | None, until_s: float, now_s: float) -> list[Effect]:
-        """A command has come. It is good until a time; without fields, the goal is to be cancelled."""
+        """A command has come. It is good until a time; without fields, it cancels the goal."""
         if until_s <= now_s or self._alone_s is not None:
             return self._settle(now_s)
         command = _Wanted(key, fields, until_s, now_s)
@@ -235,7 +235,7 @@ class GoalMachine:
         return self._over(id, state, "", result, now_s)
 
     def cancel_answered(self, id: bytes, code: int, now_s: float) -> list[Effect]:
-        """The server has answered that a goal is to be cancelled, with a return code of action_msgs/CancelGoal."""
+        """The server has answered a cancellation, with a return code of action_msgs/CancelGoal."""
         if code in (UNKNOWN, TERMINATED):
             self._orphans.pop(id, None)
             flight = self._flight
@@ -281,7 +281,7 @@ class GoalMachine:
         return [told, *self._settle(now_s)]
 
     def _settle(self, now_s: float) -> list[Effect]:
-        """Returns what is to be done now that something has changed."""
+        """Return what to do now that something has changed."""
         if self._wanted is not None and now_s >= self._wanted.until_s:
             self._wanted = None
         effects = self._check_flight(now_s)

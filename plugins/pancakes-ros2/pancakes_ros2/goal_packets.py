@@ -25,7 +25,7 @@ class Goal(msgspec.Struct, frozen=True):
     Attributes:
         number: tells the goals of a task apart. While the same number is commanded, the goal is sent once.
         fields: the fields of the goal as plain values, messages in it are mappings; what is left out keeps its default.
-            None: the goal of this number is to be cancelled.
+            None: cancel the goal of this number.
     """
 
     number: int

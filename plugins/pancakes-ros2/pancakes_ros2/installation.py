@@ -1,4 +1,4 @@
-"""The ROS 2 of this Python environment: imported when it is used, and named where it is not there."""
+"""The ROS 2 of this Python environment: imported when it is used, and named if it is missing."""
 
 from __future__ import annotations
 

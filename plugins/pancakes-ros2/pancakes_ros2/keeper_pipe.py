@@ -14,7 +14,7 @@ from pancakes_ros2.goal_packets import GoalState
 _T = TypeVar("_T")
 _HEAD: Final = 4
 MOST_BACKLOG: Final = 1 << 20
-"""While so many bytes wait for a process that does not read, no more are taken. No goal is longer."""
+"""The most bytes that wait for a process that does not read; no goal is longer."""
 
 
 class Setup(msgspec.Struct, frozen=True):
@@ -24,7 +24,7 @@ class Setup(msgspec.Struct, frozen=True):
         agent, device: whose goals it keeps.
         action: the type of the action.
         name: the name of the action; a relative one is below the agent's namespace.
-        feedback_hz: so many feedback messages a second are passed on at most.
+        feedback_hz: how many feedback messages a second are passed on at most.
     """
 
     agent: str
@@ -40,7 +40,7 @@ class Command(msgspec.Struct, frozen=True, tag="command"):
     Attributes:
         task: the task that wants it.
         number: its number.
-        fields: its fields; None: it is to be cancelled.
+        fields: its fields; None: cancel it.
         until_s: how long, by the monotonic clock that the processes of a machine share.
     """
 
@@ -120,7 +120,7 @@ class PipeWriter:
 
     @property
     def waits(self) -> bool:
-        """Whether something waits to be written: `flush` is to be called again soon."""
+        """Whether something waits to be written: call `flush` again soon."""
         return bool(self._backlog)
 
     def flush(self) -> None:

@@ -58,7 +58,7 @@ def request_for(number: int, label: str, state: ManagedState, target: str) -> St
 
     Args:
         number: the transition's id.
-        label: its label, which is what counts where it is there.
+        label: its label, which is what counts if there is one.
         state: the task's state.
         target: the task, as control packets name it.
     """

@@ -42,7 +42,7 @@ FLUSH_S: Final = 0.02
 """What did not fit into the pipe is written on after so long."""
 LOOK_S: Final = 1.0
 MOST_LOOKS: Final = 5
-"""A keeper that has said nothing at so many looks in a row, and as many seconds, stands still."""
+"""A keeper that has said nothing at this many looks in a row, and for as many seconds, hangs."""
 
 
 class RosAction(Actuator):
@@ -61,7 +61,7 @@ class RosAction(Actuator):
         Attributes:
             action: its type, such as `nav2_msgs/action/NavigateToPose`; any that is installed.
             name: its name, such as `navigate_to_pose`; one that does not begin with a slash is below `/AGENT`.
-            feedback_hz: so many feedback messages a second are passed on at most.
+            feedback_hz: how many feedback messages a second are passed on at most.
         """
 
         action: str

@@ -220,7 +220,7 @@ class RosNode:
         """Has `job` called with the rclpy node, in the node's thread, after all that was asked for before.
 
         Args:
-            job: what is to be done.
+            job: what to do.
             failed: is told what it raised; None: that is of no interest.
         """
         with self._lock:
