@@ -226,9 +226,9 @@ class Allocate(msgspec.Struct, frozen=True):
 class Adopt(msgspec.Struct, frozen=True):
     """Run a task here on a person's word that it runs nowhere else.
 
-    Its migration is in doubt, and the other agent is gone for good; or this agent's own record of it was lost; or
-    another agent owns it too, and this copy should live. If the person is wrong, two copies run: no other request can
-    do that.
+    Its migration is in doubt, and the other agent is gone for good; or this agent's own record of it was lost, or the
+    disk of the agent that it was given to; or another agent owns it too, and this copy should live. If the person is
+    wrong, two copies run: no other request can do that.
 
     Attributes:
         target: the task.

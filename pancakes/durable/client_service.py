@@ -231,7 +231,10 @@ class ClientServiceCore(ServiceCore):
         life, place.course, effects = handle(slot.life if slot is not None else None, place.course, event, at)
         if slot is not None and life is not None:
             slot.life = life
-            slot.rest = rest_of(place.record, place.unsure.word) if life.state in RESTS else ""
+            # A task that was stopped waits for nobody any more.
+            waits = life.state is State.REFUSED or place.unsure.for_good
+            word = place.unsure.word if waits else ""
+            slot.rest = rest_of(place.record, word) if life.state in RESTS else ""
             self.kernel.tasks.enter(TaskEntry.of(self.name, slot))
         record = place.record
         if record.owned and (not before.record.owned or before.record.epoch != record.epoch):
@@ -251,6 +254,9 @@ class ClientServiceCore(ServiceCore):
                 self.keeper.carry_out(slot, effect)
         if place.record.here is not before.record.here or place.course.leaving is not before.leaving:
             self.places.bind(place.task_id.name)
+
+    def describe_in_detail(self, slot: Slot) -> dict[str, Any]:
+        return {**super().describe_in_detail(slot), "task_id": str(self.places.at[slot.name].task_id)}
 
     def open_slot(self, spec: TaskSpec) -> Slot:
         slot = super().open_slot(spec)

@@ -17,7 +17,7 @@ from pancakes.durable.answers import fact_of, newest_fact
 from pancakes.durable.arrivals import Arrivals
 from pancakes.durable.bidding_messages import MIGRATOR, AttemptOver
 from pancakes.durable.checkpoints import snapshot_of
-from pancakes.durable.hosting import Creation, Place, Recovery
+from pancakes.durable.hosting import Creation, OtherOwner, Place, Recovery
 from pancakes.durable.messages import Fact
 from pancakes.durable.migration import Mover
 from pancakes.durable.questions import Disputes
@@ -41,6 +41,11 @@ if TYPE_CHECKING:
 def was_forgotten(record: Record) -> bool:
     """Return whether a person has let the task rest here, after its record was lost."""
     return record.standing is Standing.RELEASED and not record.removed and record.epoch.minter == NOBODY
+
+
+def has_moved(record: Record) -> bool:
+    """Return whether the task was handed over to another agent, which has said that it has it."""
+    return record.standing is Standing.RELEASED and not record.removed and record.peer != ""
 
 
 def task_meant(
@@ -69,7 +74,7 @@ def task_meant(
     found: list[Record | Lost] = [one for one in lost if birthplace in ("", one.task_id.birthplace)]
     if verb == "adopt":
         found += [record for record in meant if record.in_doubt]
-        found += [record for record in meant if was_forgotten(record) or record.disputed]
+        found += [record for record in meant if was_forgotten(record) or has_moved(record) or record.disputed]
     else:
         found += [record for record in meant if record.standing is Standing.HEIR]
     known = {one.task_id for one in found}
@@ -141,8 +146,21 @@ class Recoveries:
             peer, seen = (other.peer, other.epoch) if other is not None else ("", chosen.seen)
             seen_n = max(seen, chosen.seen).n
             self._run_here(chosen.task_id, chosen.snapshot, seen_n, peer, why, body.dry_run, request)
+        elif has_moved(chosen):
+            self._adopt_moved(chosen, body, request)
         else:
             self._adopt_doubtful(chosen, body, request)
+
+    def _adopt_moved(self, record: Record, body: Adopt, request: Request) -> None:
+        """Runs a task that has left with all of its state; a dry run tells where to, also if it could not run here."""
+        host, task_id = self._host, record.task_id
+        self._refuse_if_owned(task_id, "adopted")
+        if body.dry_run:
+            bound = host.places.at.get(task_id.name)
+            runs = bound is not None and bound.task_id == task_id
+            host.reply(request, result={"task_id": str(task_id), "peer": record.peer, "moved": True, "runs": runs})
+            return
+        self._adopt_lost(Lost(task_id, f"{host.agent} gave it to {record.peer}", heard=record.seen), body, request)
 
     def _adopt_doubtful(self, record: Record, body: Adopt, request: Request) -> None:
         host, task_id, peer = self._host, record.task_id, record.peer
@@ -199,11 +217,7 @@ class Recoveries:
             raise ControlRefusedError(
                 f"{task_id} is known on {host.agent}: see `pancakes task recover {host.agent}/{task_id.name}`"
             )
-        other = self._disputes.claimant(task_id)
-        if other is not None and host.connected(other.peer):
-            raise ControlRefusedError(
-                f"{task_id} is not revived: {other.peer} is connected, and owns it (epoch {other.epoch})"
-            )
+        other = self._refuse_if_owned(task_id, "revived")
         snapshot = held.snapshot if held is not None else self._arrivals.as_configured(body)
         refusal = self._arrivals.cannot_build(agent_of(request.by), place, snapshot)
         if refusal or body.dry_run:
@@ -213,6 +227,19 @@ class Recoveries:
         seen = max(record.seen.n, other.epoch.n if other is not None else 0, body.seen)
         why = f"{request.by} says that its agent is gone for good" + (f"; from {held.story}" if held else "")
         self._run_here(task_id, snapshot, seen, "", why, body.dry_run, request)
+
+    def _refuse_if_owned(self, task_id: TaskId, done: str) -> OtherOwner | None:
+        """Return the agent that has made the highest claim on a task, if any.
+
+        Raises:
+            ControlRefusedError: it is connected, with the disk that it had then.
+        """
+        other = self._disputes.claimant(task_id)
+        if other is not None and self._host.connected(other.peer, other.journal):
+            raise ControlRefusedError(
+                f"{task_id} is not {done}: {other.peer} is connected, and owns it (epoch {other.epoch})"
+            )
+        return other
 
     def _stand_alone(self, place: Place, body: Revive, request: Request) -> None:
         """Has a task go on here whose guardians are gone for good."""

@@ -242,10 +242,12 @@ class OtherOwner(msgspec.Struct, frozen=True):
     Attributes:
         peer: that agent.
         epoch: under which epoch.
+        journal: of its disk, as it says this; empty: unknown.
     """
 
     peer: str
     epoch: Epoch
+    journal: str = ""
 
 
 class BeganFrom(msgspec.Struct, frozen=True):
@@ -423,8 +425,8 @@ class Places(dict[TaskId, Place]):
             return
         named = self._by_name.get(name, ())
         # Without one that is here, the slot was opened for what a former self owned, whose disk was replaced by a copy.
-        here = [place for place in named if place.course.leaving or place.record.here]
-        here = here or [place for place in named if place.record.was_ours]
+        here = [it for it in named if it.course.leaving or it.record.here or it.removal is not None]
+        here = here or [it for it in named if it.record.was_ours]
         place = here[0] if here else self[TaskId(self._me.agent, name)]
         place.slot = slot
         self.at[name] = place

@@ -55,9 +55,10 @@ class PeerTalk:
         """Return the agents that are linked and have a journal."""
         return [name for name, hello in self._mesh.connected().items() if hello.journal]
 
-    def connected(self, agent: str) -> bool:
-        """Return whether there is a link to an agent now."""
-        return agent in self._mesh.connected()
+    def connected(self, agent: str, journal: str = "") -> bool:
+        """Return whether there is a link to an agent now; `journal`: and whether it has the disk with this journal."""
+        hello = self._mesh.connected().get(agent)
+        return hello is not None and journal in ("", hello.journal)
 
     def to(self, member: Identity, message: ToPeer) -> None:
         """Send a message to the registrar of an agent with one disk."""

@@ -648,7 +648,7 @@ class Disputes:
                     self.births.look_again()
                     self.copied.heard(news.peer, news.known)
                 for claim in news.known.claims:
-                    self._claimed(claim.task_id, OtherOwner(news.peer, claim.register.epoch))
+                    self._claimed(claim.task_id, OtherOwner(news.peer, claim.register.epoch, news.known.by.journal))
             case CopyNoticed():
                 self.copied.noticed(news.peer)
 

@@ -268,6 +268,8 @@ WAITS: Final = "waits → "
 """Why a task is not born yet: it waits for what the agents named after this know of it."""
 DISK_LOST: Final = "disk lost"
 """Why a task is not born: other agents know of it, so it was born before, and the disk of its birthplace was lost."""
+MOVED: Final = "moved → "
+"""Why a task does not run here: it was given to the agent named after this."""
 OLD_COPY: Final = "old copy"
 """Why a task is paused: the disk of its agent is an old copy, and it may be elsewhere by now."""
 
@@ -284,7 +286,7 @@ def rest_of(record: Record, otherwise: str = "") -> str:
     if record.goes_on:
         return otherwise if record.wanted is Wanted.RUNNING else record.wanted.value
     if standing in (Standing.YIELDED, Standing.RELEASED, Standing.MEMBER):
-        return f"moved → {record.peer}" if record.peer else otherwise or "forgotten"
+        return f"{MOVED}{record.peer}" if record.peer else otherwise or "forgotten"
     if standing in (Standing.OWNER, Standing.DISPUTED) and record.wanted is not Wanted.RUNNING:
         return record.wanted.value
     return otherwise

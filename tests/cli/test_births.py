@@ -32,8 +32,8 @@ def end(agent: Running) -> None:
     assert agent.ended() == 0
 
 
-def disk_of(rig: Rig) -> Path:
-    return next(path for path in (rig.directory / "state").rglob("a") if path.is_dir())
+def disk_of(rig: Rig, agent: str = "a") -> Path:
+    return next(path for path in (rig.directory / "state").rglob(agent) if path.is_dir())
 
 
 def test_birthplace_with_an_empty_disk_asks_first(rig: Rig):
@@ -53,6 +53,11 @@ def test_birthplace_with_an_empty_disk_asks_first(rig: Rig):
     assert troubles(rig) == {"a/Count": "waits", "a/Stays": "waits"}
     code, row, _ = recovered(rig, "a/Count")
     assert code == 1 and row["proposal"]["text"] == f"start {address}, or correct peers in [agent] of a"
+    code, row, _ = recovered(rig, "a/Stays", "--not-here", "--yes")
+    assert (code, row["done"]) == (1, "") and "pancakes task stop a/Stays" in row["proposal"]["text"]
+    assert rig.pancakes("task", "stop", "a/Stays").returncode == 0
+    assert states(rig)["a", "Stays"] == ("stopped", "") and troubles(rig) == {"a/Count": "waits"}
+    assert rig.pancakes("task", "start", "a/Stays").returncode == 0
     doctor = rig.pancakes("doctor", "--no-machine")
     assert "a/Count: is not born yet: a/Count is new here" in " ".join(doctor.stdout.split()), doctor.stdout
 

@@ -2,6 +2,7 @@
 
 import os
 import pty
+from collections.abc import Callable
 
 import pytest
 from cli.processes import Rig
@@ -11,8 +12,15 @@ SOURCE = "from pancakes.task import Task\n\nclass Count(Task):\n    pass\n"
 POINTS = "[pancakes.tasks]\ncount.Count = plugin_count:Count\n"
 
 
-def answered(rig: Rig, answer: str, *arguments: str) -> tuple[int, str]:
-    """Run a command on a terminal, and answer its question; return its exit code and output."""
+def answered(rig: Rig, answer: str, *arguments: str, meanwhile: Callable[[], None] | None = None) -> tuple[int, str]:
+    """Run a command on a terminal, and answer its question; return its exit code and output.
+
+    Args:
+        rig: the rig.
+        answer: the answer.
+        arguments: the command.
+        meanwhile: what happens while the question waits for it.
+    """
     ours, theirs = pty.openpty()
     with Program(
         pancakes(*arguments),
@@ -24,8 +32,12 @@ def answered(rig: Rig, answer: str, *arguments: str) -> tuple[int, str]:
         start_new_session=True,
     ) as process:
         os.close(theirs)
-        os.write(ours, f"{answer}\n".encode())
         shown = b""
+        while meanwhile is not None and b"Do it?" not in shown:
+            shown += os.read(ours, 65_536)
+        if meanwhile is not None:
+            meanwhile()
+        os.write(ours, f"{answer}\n".encode())
         try:
             while data := os.read(ours, 65_536):
                 shown += data

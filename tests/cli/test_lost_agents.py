@@ -31,7 +31,7 @@ class Guarded:
             peers = ", ".join(f'"{address}"' for address in self.addresses.values())
             self.agents[name] = rig.ready(name, rest, agent=f"peers = [{peers}]")
             self.addresses[name] = rig.address(self.agents[name])
-        heard(self.agents["a"], "a/Count is to be guarded by a, b, c")
+        heard(self.agents["a"], "a/Count will be guarded by a, b, c")
 
     def kill(self, *names: str) -> None:
         for name in names:

@@ -87,6 +87,30 @@ def test_recover_tells_tasks_of_one_name_apart(rig: Rig):
     assert (code, row["what"]) == (0, "b/Count runs on b.")
 
 
+def test_recover_takes_no_other_task_for_a_lost_one(rig: Rig):
+    """Robots of a kind have tasks of one name: that of the lost one is not that of another."""
+    rig.install("count", *COUNT)
+    heard(rig.ready("a", TASK), "task_started task=Count")
+    rig.ready("b")
+    code, row, _ = recovered(rig, "zz/Count")
+    assert (code, row["task_id"], row["trouble"]) == (1, "zz/Count", "lost agent")
+    assert row["what"].endswith("knows of zz/Count, only of a/Count.")
+    assert recovered(rig, "b/Count")[1]["task_id"] == "a/Count", "it may be the agent that should run it"
+
+
+def test_recover_finds_what_another_person_has_recovered(rig: Rig):
+    rig.install("count", *COUNT)
+    a = rig.ready("a", TASK)
+    heard(a, "task_started task=Count")
+    assert rig.pancakes("task", "stop", "a/Count").returncode == 0
+
+    def other() -> None:
+        assert recovered(rig, "a/Count", "--here", "--yes")[1]["done"] == "started"
+
+    code, shown = answered(rig, "y", "task", "recover", "a/Count", "--here", meanwhile=other)
+    assert code == 0 and shown.endswith("It was set right meanwhile: a/Count runs on a."), shown
+
+
 # Given up ----------------------------------------------------------------------------------------------------------
 
 FRAGILE = """
@@ -157,6 +181,62 @@ def test_recover_leaves_a_task_where_it_runs(rig: Rig):
     # It comes back by a migration like any other.
     assert rig.pancakes("task", "migrate", "b/Count", "--to", "a").returncode == 0
     assert states(rig)["a", "Count"] == ("running", "")
+
+
+def test_recover_begins_a_task_whose_new_agent_lost_its_disk(rig: Rig):
+    """No agent has it, and only the one that it was born on remembers it."""
+    rig.install("count", *COUNT)
+    b = rig.ready("b")
+    address = rig.address(b)
+    a = rig.ready("a", TASK, agent=f'peers = ["{address}"]')
+    heard(a, "task_started task=Count")
+    assert soon(lambda: counted(rig, "a") >= 60)
+    assert rig.pancakes("task", "migrate", "a/Count", "--to", "b").returncode == 0
+    assert troubles(rig) == {} and rig.pancakes("doctor", "--no-machine").returncode == 0
+    kill(b)
+    heard(a, "peer_down peer=b")
+    shutil.rmtree(disk_of(rig, "b"))
+    rig.agent(rig.directory / "b.toml", "--set", f'agent.listen="{address}"')
+    heard(a, "peer_up peer=b")
+    assert soon(lambda: troubles(rig) == {"a/Count": "lost disk"})
+    doctor = rig.pancakes("doctor", "--no-machine")
+    assert doctor.returncode == 1 and "a/Count: was given to b" in " ".join(doctor.stdout.split()), doctor.stdout
+    for asked in ("a/Count", "b/Count"):
+        code, row, _ = recovered(rig, asked)
+        assert (code, row["proposal"]["act"], row["proposal"]["agent"]) == (1, "adopt", "a")
+    assert row["proposal"]["lost"] == "all of its former state"
+    code, row, _ = recovered(rig, "a/Count", "--yes")
+    assert (code, row["runs_on"]) == (0, "a") and troubles(rig) == {}
+    assert counted(rig, "a") < 60, "as its configuration says"
+    assert rig.pancakes("task", "migrate", "a/Count", "--to", "b").returncode == 0
+
+
+def test_recover_follows_a_task_to_its_last_agent(rig: Rig):
+    """The agent that it was born on knows only of the first move."""
+    rig.install("count", *COUNT)
+    b, c = rig.ready("b"), rig.ready("c")
+    a = rig.ready("a", TASK, agent=f'peers = ["{rig.address(b)}", "{rig.address(c)}"]')
+    for what in ("peer_up peer=b", "peer_up peer=c", "task_started task=Count"):
+        heard(a, what)
+    heard(c, "peer_up peer=b")
+    for giver, taker in ("ab", "bc"):
+        assert rig.pancakes("task", "migrate", f"{giver}/Count", "--to", taker).returncode == 0
+    assert troubles(rig) == {} and rig.pancakes("doctor", "--no-machine").returncode == 0
+    kill(c)
+    heard(a, "peer_down peer=c")
+    heard(b, "peer_down peer=c")
+    for asked in ("a/Count", "c/Count"):
+        code, row, _ = recovered(rig, asked)
+        assert (code, row["task_id"], row["trouble"], row["proposal"]["text"]) == (
+            1,
+            "a/Count",
+            "lost agent",
+            "start c",
+        )
+    assert troubles(rig) == {"a/Count": "lost agent"}
+    assert row["choices"][0]["only_if"].startswith("c is off")
+    code, row, _ = recovered(rig, "a/Count", "--here", "--yes")
+    assert (code, row["runs_on"]) == (0, "a")
 
 
 def test_recover_begins_a_task_lost_with_both_disks(rig: Rig):

@@ -70,6 +70,7 @@ def counted(line: str) -> int:
 
 def test_task_stop_and_start_with_other_settings(shared: tuple[Rig, Running]):
     rig, agent = shared
+    agent.hear("One counted n=")
     row = done(rig, "task", "stop", "a/One")
     number = row.pop("number")
     assert row == {"agent": "a", "service": "client", "task": "One", "done": "stopped"}

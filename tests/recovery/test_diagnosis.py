@@ -21,6 +21,8 @@ DISPUTED = Copy(agent="a", state="stopped", rest="disputed", other="b", may_run=
 DISK_LOST = Copy(agent="a", state="stopped", rest="disk lost", reason="b owns a/Scan", may_run=True, may_leave=True)
 IN_DOUBT = Copy(agent="a", service="", in_doubt=True, other="b", may_run=True)
 DAMAGED = Copy(agent="a", state="stopped", waits=True, reason="it may run elsewhere", may_run=True, may_leave=True)
+WAITS = Copy(agent="a", state="stopped", rest="waits → b", waits=True, reason="a/Scan waits to hear from b")
+MOVED = Copy(agent="a", state="stopped", rest="moved → b", reason="handed over to b")
 PAUSED = replace(RUNS, permit=False)
 GUARDIANS = (("a", "b", "c"),)
 OWN = Guard("a", "a", 3, 2.0, 0.1)
@@ -62,7 +64,7 @@ CASES = {
         "leave",
         "c",
     ),
-    "waits for others": (found(replace(DISK_LOST, rest="waits → b", may_run=False)), "waits", "", ""),
+    "waits for others": (found(WAITS), "waits", "", ""),
     "forgotten": (found(replace(DISK_LOST, rest="forgotten")), "", "", ""),
     "given up": (found(Copy(agent="a", state="failed", reason="ValueError: x")), "given up", "start", "a"),
     "given up before a restart": (found(Copy(agent="a", state="stopped", rest="failed")), "given up", "start", "a"),
@@ -123,12 +125,11 @@ CASES = {
         "take",
         "b",
     ),
-    "given to an agent that is away": (
-        found(Copy(agent="a", state="stopped", rest="moved → x")),
-        "lost agent",
-        "",
-        "",
-    ),
+    "given to an agent that is away": (found(replace(MOVED, rest="moved → x")), "lost agent", "", ""),
+    "given to an agent that lacks it": (found(replace(MOVED, may_run=True)), "lost disk", "adopt", "a"),
+    "given away, and configured nowhere": (found(MOVED), "lost disk", "", ""),
+    "given on to an agent that is away": (found(MOVED, on(MOVED, "b", rest="moved → x")), "lost agent", "", ""),
+    "given in a circle": (found(MOVED, on(MOVED, "b", rest="moved → a")), "lost disk", "", ""),
     "its agent is lost, another can run it": (
         found(checkpoints=(held("b", guardians=()),), able="b", answers="bc"),
         "lost agent",
@@ -183,7 +184,9 @@ HERE = {
     "in doubt": (found(IN_DOUBT), "adopt", "a"),
     "disk lost": (found(DISK_LOST), "adopt", "a"),
     "forgotten": (found(replace(DISK_LOST, rest="forgotten")), "adopt", "a"),
-    "waits": (found(replace(DISK_LOST, rest="waits → b", may_run=False)), "start", "a"),
+    "waits": (found(WAITS), "start", "a"),
+    "stopped": (found(replace(RUNS, state="stopped")), "start", "a"),
+    "given to an agent that lacks it": (found(replace(MOVED, may_run=True)), "adopt", "a"),
     "paused here": (found(PAUSED, checkpoints=(held("a"),)), "resume", "a"),
     "paused here, its guardians answer": (found(PAUSED, checkpoints=(held("a"), held("b"))), "", ""),
     "paused elsewhere": (found(PAUSED, guards=(OWN,), asked="d", answers="ad", able="d"), "", ""),
@@ -223,7 +226,9 @@ NOT_HERE = {
     "the only owner that answers": (found(DISPUTED, answers="a"), "", "", False),
     "disk lost": (found(DISK_LOST), "leave", "a", False),
     "in doubt": (found(replace(IN_DOUBT, may_leave=True)), "leave", "a", False),
-    "moved": (found(Copy(agent="a", state="stopped", rest="moved → b", reason="it is on b")), "", "", True),
+    "moved": (found(MOVED), "", "", True),
+    "waits for others": (found(WAITS), "", "", False),
+    "cannot start": (found(replace(DAMAGED, may_run=False, may_leave=False)), "", "", False),
 }
 
 
@@ -248,6 +253,18 @@ LOST = {
 @pytest.mark.parametrize("case", LOST)
 def test_proposal_says_what_is_lost(case: str):
     assert diagnose(CASES[case][0]).proposal.lost == LOST[case]
+
+
+def test_task_of_a_lost_agent_begins_where_it_came_from():
+    (here,) = diagnose(found(replace(MOVED, rest="moved → x", may_run=True))).choices
+    assert (here.act, here.agent, here.command) == ("adopt", "a", "pancakes task recover a/Scan --here")
+    assert "x is off, and never comes back" in here.only_if
+
+
+def test_start_without_others_loses_what_they_have():
+    (here,) = diagnose(found(WAITS)).choices
+    assert here.act == "start" and here.lost and here.only_if
+    assert WAITS.reason in diagnose(found(WAITS)).what
 
 
 def test_state_that_runs_nowhere_is_said_to_be_lost():

@@ -138,7 +138,7 @@ def test_there_must_be_a_doubt(fleet):
     assert a.ask(Adopt("Count")).reason == "there is nothing to adopt: a/Count is here already"
     assert a.ask(Migrate("Count")).ok
     fleet.run_for(1.0)
-    assert a.ask(Adopt("Count")).reason == "there is nothing to adopt: a/Count moved to b"
+    assert a.ask(Adopt("Count")).reason == "a/Count is not adopted: b is connected, and owns it (epoch 1@b)"
     assert a.ask(Adopt("client/Other")).reason == "a/client knows of no task 'Other'"
     assert a.ask(Adopt("Count", birthplace="c")).reason == "a/client knows of no task 'Count' of c"
     assert a.ask(Adopt("client/")).reason == "a/client is a service: name one of its tasks"

@@ -228,11 +228,13 @@ def test_a_task_that_stands_still_is_removed_too(fleet: Fleet) -> None:
     assert "has no task" in a.ask(Start("Count")).reason
 
 
-def test_a_task_is_removed_where_it_is_and_then_created_anew_where_it_was_born(fleet: Fleet) -> None:
+def test_migrated_task_is_removed_and_created_again(fleet: Fleet) -> None:
     a, b = fleet.start("a"), fleet.start("b")
     fleet.connect()
     assert a.ask(COUNT).ok and a.ask(Migrate("Count", to="b")).ok
+    assert b.ask(Describe("Count")).result["task_id"] == "a/Count"
     assert b.ask(Remove("Count")).ok
+    assert [row for row in b.tasks() if row["task"] == "Count"] == [], "nothing is left to be started"
     created = a.ask(COUNT)
     assert created.ok and created.result["epoch"] == 3, created.reason
     fleet.run_for(2.0)

@@ -16,7 +16,7 @@ def guarding(rig: Rig) -> tuple[Running, Running]:
     rig.install("walk", "[pancakes.tasks]\nwalk.Walk = plugin_walk:Walk\n", WALK)
     others = rig.ready("b"), rig.ready("c")
     peers = ", ".join(f'"{rig.address(other)}"' for other in others)
-    rig.ready("a", GUARDED, agent=f"peers = [{peers}]").hear("a/Walk is to be guarded by a, b, c")
+    rig.ready("a", GUARDED, agent=f"peers = [{peers}]").hear("a/Walk will be guarded by a, b, c")
     return others
 
 

@@ -14,7 +14,7 @@ from typing import Final, Literal
 
 import msgspec
 
-from pancakes.durable.record import DISK_LOST, OLD_COPY, WAITS
+from pancakes.durable.record import DISK_LOST, MOVED, OLD_COPY, WAITS
 
 Choice = Literal["", "here", "not here"]
 """What a person wants: the proposal, the task on the agent that the name begins with, or not there."""
@@ -45,7 +45,6 @@ ACTING: Final = ("running", "starting", "restarting", "stuck")
 """The states of a task that runs, or is about to."""
 DISPUTED: Final = "disputed"
 FORGOTTEN: Final = "forgotten"
-MOVED: Final = "moved → "
 FAILED: Final = "failed"
 
 
@@ -88,6 +87,16 @@ class Copy(msgspec.Struct, frozen=True, kw_only=True):
     def acts(self) -> bool:
         """Whether the task runs there, or is about to."""
         return self.state in ACTING and self.permit and not self.copied
+
+    @property
+    def gave_to(self) -> str:
+        """The agent that it was given to; empty: none."""
+        return self.rest.removeprefix(MOVED) if self.rest.startswith(MOVED) else ""
+
+    @property
+    def is_stopped(self) -> bool:
+        """Whether only a stop keeps it from running there."""
+        return self.state == "stopped" and self.rest in ("", "stopped") and not self.waits
 
     @property
     def is_paused(self) -> bool:
@@ -202,7 +211,7 @@ class Findings(msgspec.Struct, frozen=True, kw_only=True):
         unable: why none would, as a sentence.
         configuration: the file that says how the task begins from scratch; empty: none was given.
         service: the service that the person named; empty: none.
-        hint: a name that may be meant instead, as a clause with a comma before it; empty: none.
+        hint: what may be meant instead, as a clause with a comma before it; empty: nothing.
     """
 
     task_id: str
@@ -318,6 +327,11 @@ def _away(found: Findings) -> str:
     return f"no agent that is off or cut off from here still has {found.task_id}"
 
 
+def _stays_away(agent: str) -> str:
+    """Return what to beware of if the task may be on the disk of one agent."""
+    return f"{agent} is off, and never comes back with its present disk (set it up again with an empty one)"
+
+
 # What a person may choose ----------------------------------------------------------------------------------------
 
 
@@ -356,13 +370,16 @@ def _adopt(found: Findings, copy: Copy, option: str = "") -> Proposal:
     if copy.in_doubt:
         text = f"run it on {agent}, from the state that it had when the migration was cut off"
         lost = f"what it did on {copy.other} since, if it had begun there"
-        only_if = f"{copy.other} is off, and never comes back with its present disk (set it up again with an empty one)"
+        only_if = _stays_away(copy.other)
     elif copy.rest == OLD_COPY:
         text = f"let it go on on {agent}, from the backup"
         lost = "what it did since the backup was made"
-    elif copy.rest == DISK_LOST or copy.rest.startswith(WAITS) or copy.rest == FORGOTTEN:
+    elif copy.rest in (DISK_LOST, FORGOTTEN) or copy.gave_to:
         text = f"begin it on {agent} from scratch, as its configuration says"
         lost = "all of its former state"
+        gone = _last_given_to(found)
+        if gone and gone not in found.answers:
+            only_if = _stays_away(gone)
     else:
         text = f"run it on {agent}, from what can be read of its record, or else from scratch"
         lost = "what cannot be read of its record"
@@ -415,6 +432,18 @@ def _link(copy: Copy) -> Proposal:
 def _start(found: Findings, copy: Copy, option: str = "") -> Proposal:
     text = f"start it again on {copy.agent}, with the state that it has"
     return Proposal(act="start", agent=copy.agent, text=text, command=_command(found, copy.agent, option))
+
+
+def _at_once(found: Findings, copy: Copy) -> Proposal:
+    """Start a task that waits until other agents have said what they know of it."""
+    return Proposal(
+        act="start",
+        agent=copy.agent,
+        text=f"start it on {copy.agent} at once",
+        lost="all of its former state, if it has run elsewhere",
+        only_if=_away(found),
+        command=_command(found, copy.agent, "--here"),
+    )
 
 
 def _leave(found: Findings, copy: Copy, runs_on: str = "", option: str = "--not-here") -> Proposal:
@@ -474,7 +503,9 @@ def _here(found: Findings) -> Proposal:
         )
     if here is not None and here.may_run:
         return _adopt(found, here, "--here")
-    if here is not None and (here.rest.startswith(WAITS) or here.state == FAILED or here.rest in (FAILED, "stopped")):
+    if here is not None and here.rest.startswith(WAITS):
+        return _at_once(found, here)
+    if here is not None and (here.state == FAILED or here.rest == FAILED or here.is_stopped):
         return _start(found, here, "--here")
     if found.able:
         return _revive(found, "--here")
@@ -507,12 +538,14 @@ def _not_here(found: Findings) -> Proposal:
         )
     if here.may_leave:
         return _leave(found, here, others[0].agent if others else "")
-    if here.acts or here.is_paused or (here.state in ("stopped", FAILED) and here.rest in ("", "stopped", FAILED)):
+    if here.acts or here.is_paused or here.is_stopped or FAILED in (here.state, here.rest):
         name = f"{asked}/{found.name}"
         return _nothing(
             f"leave it, because {asked} has the only copy. To stop it: pancakes task stop {name}. To migrate it:"
             f" pancakes task migrate {name}"
         )
+    if here.waits or here.rest.startswith(WAITS):
+        return _nothing(f"stop it, or {asked} starts it as soon as it can: pancakes task stop {asked}/{found.name}")
     return _fine(f"leave it as it is: {here.reason or f'{asked} does not start it by itself'}")
 
 
@@ -722,17 +755,16 @@ def _undecided(found: Findings) -> Diagnosis | None:
     for copy in found.copies:
         if copy.rest.startswith(WAITS):
             others = copy.rest.removeprefix(WAITS)
-            what = f"{found.task_id} is new on {copy.agent}, which asks {others} first whether they have it."
+            what = f"{copy.agent} says: {copy.reason}."
             wait = _nothing(f"start {others}, or correct peers in [agent] of {copy.agent}")
-            here = _adopt(found, copy, "--here") if copy.may_run else _start(found, copy, "--here")
-            return _told(found, "waits", what, wait, here)
+            return _told(found, "waits", what, wait, _at_once(found, copy))
     for copy in found.copies:
         if copy.rest == FORGOTTEN:
             what = f"A person decided that {copy.agent} does not run {found.task_id}. No agent that answers runs it."
             stays = _fine("leave it as it is, or take the decision back with --here")
             return _told(found, "", what, stays, _adopt(found, copy, "--here") if copy.may_run else None)
     for copy in found.copies:
-        if copy.may_run:
+        if copy.may_run and not copy.gave_to:
             what = (
                 f"The record of {found.task_id} on {copy.agent} was damaged or lost. So {copy.agent} cannot know"
                 " whether it runs elsewhere; no agent that answers runs it."
@@ -754,25 +786,43 @@ def _stopped(found: Findings) -> Diagnosis | None:
             what = f"{found.task_id} cannot start on {copy.agent}: {copy.reason}."
             return _told(found, "cannot start", what, _nothing("fix that: then it starts by itself"))
     for copy in found.copies:
-        if copy.state == "stopped" and copy.rest in ("", "stopped"):
+        if copy.is_stopped:
             what = f"{found.task_id} is stopped on {copy.agent}: {copy.reason or 'nothing has started it'}."
             start = _fine(f"leave it as it is, or start it: pancakes task start {copy.agent}/{found.name}")
             return _told(found, "", what, start)
     return None
 
 
+def _last_given_to(found: Findings) -> str:
+    """Return the agent that the task was given to at last, as those say that have given it on; empty: none."""
+    given = {copy.agent: copy.gave_to for copy in found.copies if copy.gave_to}
+    agent = next(iter(given), "")
+    for _ in given:  # a stale backup may make a circle of it
+        agent = given.get(agent, agent)
+    return agent
+
+
 def _lost(found: Findings) -> Diagnosis:
     """No agent that answers has the task."""
     task, silent = found.task_id, " ".join(f"{it}." for it in found.silent)
-    gone = next((copy.rest.removeprefix(MOVED) for copy in found.copies if copy.rest.startswith(MOVED)), "")
-    if gone in found.answers and found.copies:
-        what = f"{task} was given to {gone}, which does not list it."
-        return _told(found, "", what, _fine(f"see what became of it: pancakes task migrations {gone}"))
+    left = next((copy for copy in found.copies if copy.gave_to and copy.may_run), None)
+    gone = _last_given_to(found)
+    if gone in found.answers:
+        what = (
+            f"{task} was given to {gone}, which answers and has nothing of it: its disk was lost, or the task was"
+            f" removed there. It runs nowhere."
+        )
+        if left is not None:
+            return _told(found, "lost disk", what, _adopt(found, left))
+        scratch = _command(found, option="--here --config FILE")
+        return _told(found, "lost disk", what, _nothing(found.unable or f"begin it from scratch: {scratch}"))
     if found.able:
         what = f"No agent that answers runs {task}. {silent}"
         return _told(found, "lost agent", what.strip(), _revive(found))
     if gone:
         what = f"{task} was given to {gone}, which does not answer. {silent}"
+        if left is not None:
+            return _told(found, "lost agent", what.strip(), _nothing(f"start {gone}"), _adopt(found, left, "--here"))
         start = (
             f"start {gone}. If it is gone for good, the task can only begin from scratch:"
             f" {_command(found, option='--here --config FILE')}"
@@ -781,7 +831,8 @@ def _lost(found: Findings) -> Diagnosis:
     answers = _names(found.answers)
     scratch = _command(found, found.answers[0] if found.answers else "", "--here --config FILE")
     if found.asked not in found.answers:
-        what = f"{found.asked} does not answer, and no agent that answers ({answers}) knows of {task}. {silent}"
+        hint = found.hint or "."
+        what = f"{found.asked} does not answer, and no agent that answers ({answers}) knows of {task}{hint} {silent}"
         start = (
             f"start {found.asked}. If it is gone for good, the task can only begin from scratch, on an agent that you"
             f" choose: {scratch}"

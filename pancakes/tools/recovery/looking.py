@@ -23,14 +23,13 @@ from pancakes.control import (
     SetFence,
     Take,
 )
-from pancakes.durable.record import DISK_LOST, OLD_COPY, WAITS
+from pancakes.durable.record import DISK_LOST, MOVED, OLD_COPY, WAITS
 from pancakes.errors import ControlRefusedError, PancakesError
 from pancakes.packet import LOG, NETWORK, join
 from pancakes.tools.recovery.diagnosis import (
     ACTING,
     DISPUTED,
     FAILED,
-    MOVED,
     Actuator,
     Checkpoint,
     Copy,
@@ -147,16 +146,19 @@ class Survey:
         rest, guarding = row["rest"], row.get("guarding")
         if rest in (DISPUTED, DISK_LOST, OLD_COPY, FAILED) or rest.startswith(WAITS) or row["waits"]:
             return True
-        if rest.startswith(MOVED) and rest.removeprefix(MOVED) not in self._known():
+        if rest.startswith(MOVED) and not self._may_have(rest.removeprefix(MOVED), row["task"]):
             return True
         if row["state"] == "stopped" and rest == "" and row["reason"]:
             return True  # such as one whose record is damaged
         paused = guarding is not None and (guarding["copied"] or (row["state"] in ACTING and not guarding["permit_s"]))
         return paused or row["state"] == FAILED
 
-    def _known(self) -> set[str]:
-        """Return the agents that answer, or that one of these is linked to."""
-        return {name for it in self.agents.values() for name in (it["agent"], *it["neighbours"])}
+    def _may_have(self, agent: str, task: str) -> bool:
+        """Return whether an agent lists a task, or does not answer but is linked to one that does."""
+        described = self.agents.get(agent)
+        if described is not None:
+            return any(row["task"] == task for row in described["tasks"])
+        return any(agent in it["neighbours"] for it in self.agents.values())
 
     # One task --------------------------------------------------------------------------------------------------
 
@@ -175,13 +177,16 @@ class Survey:
         rows = {name: row for name, agent in self.agents.items() if (row := self._row(agent, asked)) is not None}
         details = {name: self._detail(name, row) for name, row in rows.items()}
         rows |= {name: dict(it) for name, it in details.items() if it}  # newer: the task may have migrated meanwhile
-        adopts = self._each(Adopt(asked.target, asked.birthplace, dry_run=True))
+        services = {row["service"] for row in rows.values()}
+        # An agent that does not list the task knows only by the name of its service whom to ask.
+        target = join(services.pop(), asked.task) if not asked.service and len(services) == 1 else asked.target
+        adopts = self._each(Adopt(target, asked.birthplace, dry_run=True))
         ids = {name: _id_of(name, row, details[name], adopts.get(name)) for name, row in rows.items()}
-        task_id = begins.task_id if begins is not None else self._meant(asked, ids, adopts)
+        task_id = begins.task_id if begins is not None else self._meant(asked, rows, ids, adopts)
         birthplace = task_id.partition("/")[0]
         if any(reply.refusal is not None and reply.refusal.code == "ambiguous" for reply in adopts.values()):
-            adopts = self._each(Adopt(asked.target, birthplace, dry_run=True))
-        leaves = self._each(Forget(asked.target, birthplace, dry_run=True))
+            adopts = self._each(Adopt(target, birthplace, dry_run=True))
+        leaves = self._each(Forget(target, birthplace, dry_run=True))
         copies = [
             copy
             for name in self.agents
@@ -207,7 +212,7 @@ class Survey:
             guards=tuple(guards),
             actuators=tuple(actuators),
             service=asked.service,
-            hint=did_you_mean(asked.task, [row["task"] for agent in self.agents.values() for row in agent["tasks"]]),
+            hint=self._hint(asked),
         )
         if acting:
             return found
@@ -215,6 +220,14 @@ class Survey:
         if begins is not None:
             return self._begins(found, begins, file)
         return self._revives(found, here)
+
+    def _hint(self, asked: Asked) -> str:
+        """Return tasks that may be meant instead of one that nobody knows, as a clause."""
+        rows = [row for agent in self.agents.values() for row in agent["tasks"]]
+        same = sorted({join(row["agent"], row["task"]) for row in rows if row["task"] == asked.task})
+        if same:
+            return f", only of {' and '.join(same)}."
+        return did_you_mean(asked.task, [row["task"] for row in rows])
 
     def _row(self, agent: Mapping[str, Any], asked: Asked) -> dict[str, Any] | None:
         wanted = asked.service if agent["agent"] == asked.agent else ""
@@ -228,8 +241,16 @@ class Survey:
         reply = self._ask(agent, Describe(join(row["service"], row["task"])))
         return reply.result if reply is not None and reply.ok and isinstance(reply.result, dict) else {}
 
-    def _meant(self, asked: Asked, ids: Mapping[str, str], adopts: Mapping[str, Reply]) -> str:
-        """Return the id of the task that is meant.
+    def _meant(
+        self,
+        asked: Asked,
+        rows: Mapping[str, Mapping[str, Any]],
+        ids: Mapping[str, str],
+        adopts: Mapping[str, Reply],
+    ) -> str:
+        """Return the id of the task that is meant: the agent's own, or one that it has, had or is offered.
+
+        An agent that answers and has nothing of the task may be the one that should run it.
 
         Raises:
             ControlRefusedError: several may be meant.
@@ -237,14 +258,17 @@ class Survey:
         if asked.birthplace:
             return join(asked.birthplace, asked.task)
         told = [row for row in (*self.guards, *self.checkpoints) if row["task_id"].partition("/")[2] == asked.task]
-        doubted = {name: reply.result["task_id"] for name, reply in adopts.items() if reply.ok}
+        offers = {name: reply.result for name, reply in adopts.items() if reply.ok}
         own = join(asked.agent, asked.task)
-        near = [ids.get(asked.agent), doubted.get(asked.agent)]
+        near = [ids.get(asked.agent)]
         near += [row["task_id"] for row in told if asked.agent in (row["agent"], row.get("owner"), row.get("peer"))]
-        everything = {*ids.values(), *doubted.values(), *(row["task_id"] for row in told)}
+        near += [ids[name] for name, row in rows.items() if row["rest"] == MOVED + asked.agent]
+        near += [offer["task_id"] for name, offer in offers.items() if asked.agent in (name, offer["peer"])]
+        everything = {*ids.values(), *(offer["task_id"] for offer in offers.values())}
+        everything.update(row["task_id"] for row in told)
         if own in everything and ids.get(asked.agent, own) == own:
             return own
-        for some in ({it for it in near if it}, everything):
+        for some in ({it for it in near if it}, everything if asked.agent in self.agents else set[str]()):
             if len(some) == 1:
                 return next(iter(some))
             if some:
@@ -263,19 +287,21 @@ class Survey:
         leaves: Mapping[str, Reply],
     ) -> Copy | None:
         adopt, leave = adopts.get(name), leaves.get(name)
-        may_run = adopt is not None and adopt.ok and adopt.result["task_id"] == task_id
+        offer = adopt.result if adopt is not None and adopt.ok and adopt.result["task_id"] == task_id else {}
+        moved, may_run = offer.get("moved", False), offer.get("runs", bool(offer))
         may_leave = leave is not None and leave.ok and leave.result["task_id"] == task_id
         doubted = [
             it for it in self.checkpoints if (it["agent"], it["held"], it["task_id"]) == (name, IN_DOUBT, task_id)
         ]
-        if row is None and not (may_run or may_leave or doubted):
+        if row is None and not (offer or may_leave or doubted):
             return None
         linked = tuple(self.agents[name]["neighbours"])
-        other = adopt.result["peer"] if may_run and adopt is not None else ""
+        peer = offer.get("peer", "")
         copy = Copy(
             agent=name,
             service="",
-            other=doubted[0]["peer"] if doubted else other,
+            rest=f"{MOVED}{peer}" if moved else "",
+            other=doubted[0]["peer"] if doubted else "" if moved else peer,
             in_doubt=bool(doubted),
             may_run=may_run,
             may_leave=may_leave,
@@ -399,7 +425,9 @@ class Survey:
 
 
 def _id_of(name: str, row: Mapping[str, Any], detail: Mapping[str, Any], adopt: Reply | None) -> str:
-    """Return the id of an agent's task; one that has never run there is the agent's own."""
+    """Return the id of an agent's task; what its service says nothing of is the agent's own."""
+    if "task_id" in detail:
+        return str(detail["task_id"])
     if (guarding := row.get("guarding")) is not None:
         return str(guarding["task_id"])
     if (fence := detail.get("fence")) is not None:

@@ -10,7 +10,7 @@ from typing import Any, Final
 
 from pancakes import __version__
 from pancakes.devices.health import share_of
-from pancakes.durable.record import DISK_LOST, OLD_COPY, WAITS
+from pancakes.durable.record import DISK_LOST, MOVED, OLD_COPY, WAITS
 from pancakes.mesh.sockets import ADVICE
 from pancakes.supervision.restart import tries
 from pancakes.tools.cli.verbs.checks import (
@@ -546,6 +546,16 @@ def check_ownership(agent: str, task: dict[str, Any], facts: Facts) -> Iterator[
     elif rest == OLD_COPY:
         advice = f"see what can be done: pancakes task recover {about}"
         yield Finding("error", about, f"is paused: {reason}", advice)
+    elif rest.startswith(MOVED) and _is_lost(rest.removeprefix(MOVED), task["task"], facts):
+        text = f"was given to {rest.removeprefix(MOVED)}, which answers and does not list it, nor does any other agent"
+        yield Finding("error", about, text, f"see what can be done: pancakes task recover {about}")
+
+
+def _is_lost(given_to: str, task: str, facts: Facts) -> bool:
+    """Return whether no agent that answers lists a task, the one that it was given to among them."""
+    rows = [row for it in facts.agents for row in it["tasks"] if row["task"] == task]
+    answers = any(it["agent"] == given_to for it in facts.agents)
+    return answers and all(row["rest"].startswith(MOVED) for row in rows)
 
 
 @task_check

@@ -261,7 +261,7 @@ def _recover(
     """Say what happened, ask, and do it; return the exit code."""
     from pancakes.tools.recovery.acting import DONE, carry_out
     from pancakes.tools.recovery.diagnosis import diagnose
-    from pancakes.tools.recovery.looking import Asked
+    from pancakes.tools.recovery.looking import Asked, Survey
 
     asked = Asked(name.agent, name.task, name.service, birthplace)
     begins = beginning.body if beginning is not None else None
@@ -280,6 +280,13 @@ def _recover(
             if not dry_run:
                 where = carry_out(client, survey, found, proposal, using)
             done = DRY_RUN if dry_run else DONE[proposal.act]
+    except ControlRefusedError:
+        seen = Survey(client).look(asked)
+        now = diagnose(seen)
+        if now.trouble or all(copy.state != "running" for copy in seen.copies):
+            raise
+        told, proposal = now, now.proposal
+        ask.printer.tell(f"It was set right meanwhile: {now.what}")
     finally:  # programs get the diagnosis also if it is declined or refused
         ask.printer.emit([{**_plain(told), "done": done, "runs_on": where}], *_ending(told, done, where))
     return OK if done or proposal.fine else REFUSED
@@ -315,7 +322,7 @@ def _beginning(path: str, sets: Sequence[str], name: TaskName, birthplace: str) 
 
 
 def _story(found: Findings, told: Diagnosis) -> Iterator[Part]:
-    from pancakes.tools.recovery.diagnosis import MOVED
+    from pancakes.durable.record import MOVED
 
     yield f"{told.task_id}: {told.trouble or 'in order'}"
     yield told.what
