@@ -476,9 +476,7 @@ class Step:
         _look(self)
         if waited and self.life is not None and self.life.state is State.STOPPED:
             self.unreserve()  # what was kept for it while it waited
-        if self.course.leaving and self.life is not None and self.life.at_rest:
-            self.change(leaving=False)
-            self.do(Vacate())
+        _clear_place(self)
 
     def do(self, effect: AnyEffect) -> None:
         """Have an effect carried out, after those before it."""
@@ -670,6 +668,16 @@ def _look(step: Step) -> None:
         pass
     elif not course.leaving:
         step.change(starts=False)
+
+
+def _clear_place(step: Step) -> None:
+    """Clear the place of a task that has left, once its actor has ended.
+
+    A stop that is still to be written is answered before that: the task has left meanwhile.
+    """
+    if step.course.leaving and step.life is not None and step.life.at_rest and not step.course.rests:
+        step.change(leaving=False)
+        step.do(Vacate())
 
 
 # Coming to rest -----------------------------------------------------------------------------------------------------

@@ -240,6 +240,16 @@ def test_stop_during_a_migration_takes_the_offer_back() -> None:
     assert not it.course.paused
 
 
+def test_stop_of_a_task_that_has_left_is_answered_so() -> None:
+    """The heir asked for it before the registrar heard of the stop. Then its place is cleared."""
+    it = bench().moving()
+    it.feed(StopAsked(REQUEST, "asked for"), Finished("it ended"), CameToRest(b""))
+    it.came(record(GIVEN, SEQUEL), Desired.PAUSE)
+    assert "Vacate" not in it.kinds() and "Answer" not in it.kinds()
+    it.came(None, Desired.PAUSE, (Write.REST, Outcome.DECLINED, ""))
+    assert "was given to b" in it.of(Answer).reason and isinstance(it.of(Vacate), Vacate)
+
+
 @pytest.mark.parametrize("event", ["it cannot", "it is stuck", "it cannot be written"])
 def test_task_that_cannot_be_paused_goes_on(event: str) -> None:
     it = bench()

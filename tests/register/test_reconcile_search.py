@@ -33,6 +33,7 @@ SMALL: dict[str, Bounds] = {
     ),
     "guarded, its permit lapses": Bounds(guarded=True, requests=1, lapses=2),
     "guarded, it moves": Bounds(guarded=True, moves=1),
+    "its place goes with it": Bounds(moves=1, requests=1, visits=1, configured=False),
 }
 NEVER: dict[State, set[Standing]] = {
     State.STARTING: {Standing.NONE, Standing.HEIR, Standing.YIELDED, Standing.RELEASED},
@@ -65,6 +66,11 @@ BROKEN: dict[str, tuple[str, str, str]] = {
         "two requests",
         "        step.change(rests=True, rests_left=step.course.rests_left + 1)\n",
         "        step.live(lifecycle.Written())\n",
+    ),
+    "a place is cleared before a stop is answered": (
+        "its place goes with it",
+        "step.life.at_rest and not step.course.rests:",
+        "step.life.at_rest:",
     ),
     "a task that another agent owns too goes on": (
         "another agent owns it too",

@@ -26,6 +26,13 @@ LARGE: dict[str, Bounds] = {
     "guarded, it moves, writes fail": Bounds(guarded=True, moves=1, requests=1, faults=1),
     "guarded, it moves, the agent crashes": Bounds(guarded=True, moves=1, requests=1, crashes=1),
     "guarded, it comes back": Bounds(guarded=True, moves=1, visits=1, requests=1),
+    "its place goes with it, writes fail": Bounds(
+        moves=1, requests=1, visits=1, faults=1, ends=1, errors=True, configured=False
+    ),
+    "its place goes with it, its service ends": Bounds(
+        closes=True, moves=1, requests=1, visits=1, removals=1, configured=False
+    ),
+    "guarded, its place goes with it": Bounds(guarded=True, moves=1, requests=1, visits=1, configured=False),
     "guarded, its service ends": Bounds(closes=True, guarded=True, moves=1, visits=1),
 }
 

@@ -47,6 +47,7 @@ class Bounds(NamedTuple):
         guarded: whether other agents decide with its owner.
         lapses: the permit of a guarded task lapses.
         restart: its policy.
+        configured: whether its configuration names it, so that its place stays when it leaves.
     """
 
     requests: int = 0
@@ -63,6 +64,7 @@ class Bounds(NamedTuple):
     guarded: bool = False
     lapses: int = 1
     restart: RestartSpec = RestartSpec("no", at_most=1)
+    configured: bool = True
 
 
 class World(NamedTuple):
@@ -284,7 +286,10 @@ class Joined:
     def _reconcile_Vacate(self, world: World, effect: Any, waiting: deque[Any]) -> World:
         if world.actor:
             raise Violation("its place is cleared while its actor is there")
-        return world._replace(carried=b"")
+        if self._bounds.configured:
+            return world._replace(carried=b"")
+        timers = frozenset(it for it in world.timers if not isinstance(it, lifecycle.TryDue | lifecycle.Retry))
+        return world._replace(carried=b"", life=None, timers=timers)
 
     def _reconcile_After(self, world: World, effect: Any, waiting: deque[Any]) -> World:
         if isinstance(effect.event, reconcile.InDoubt):
@@ -403,7 +408,7 @@ class Joined:
             yield "the heir has it", self.outside(world, rules.Known(B, owned))
         is_away = standing in (Standing.RELEASED, Standing.MEMBER) and not world.record.removed
         # It bids only once it knows that the task has left, and has written all that came before.
-        may_bid = world.life is not None and not world.course.leaving and not world.queue and world.again is None
+        may_bid = not world.course.leaving and not world.queue and world.again is None
         if is_away and may_bid and world.has("visits") < bounds.visits:
             sets = register.sets if len(register.sets[0]) > 1 else ((B,),)
             offered = Register(register.epoch, max(register.no, 0) + 1, sets, 0, A, Wanted.RUNNING, LATER)
@@ -529,7 +534,8 @@ class Joined:
         """Begin the service, with what is on disk."""
         record = Record(TASK, register, A, "client", "test.Task", sequel=sequel)
         course = Course(record, desired(A, register, Memory()))
-        world = World(self._life(), course, register, memory, sequel, spent=spent, settled=False)
+        life = self._life() if self._bounds.configured or record.owned else None
+        world = World(life, course, register, memory, sequel, spent=spent, settled=False)
         wanted = record.may_begin or not record.owned or record.wanted is Wanted.RUNNING
         world = self.feed(world, reconcile.ServiceBegan()) if wanted else world
         return self.came(world)
