@@ -109,6 +109,14 @@ def test_resting_task_shows_the_reason(model: FleetModel):
     assert "rest" not in model.board.get("task/a/client/T")
 
 
+def test_task_without_a_robot_is_shown(model: FleetModel):
+    """The allocation has found no robot for it, or its agent takes no part in it."""
+    described = agent("a", task("a", "Walk"), task("a", "Wait"), unplaced={"b/Walk": "no robot has the energy"})
+    describe(model, described)
+    assert model.board.get("task/a/client/Walk")["unplaced"] == "no robot has the energy"
+    assert "unplaced" not in model.board.get("task/a/client/Wait")
+
+
 def test_halted_agent_and_filters_are_shown(model: FleetModel):
     held = {"filter": "apart", "doing": "holds", "why": "no pose", "passed": 3, "for_s": 1.0}
     motors = task("a", "motors", "device", device="motors", rest="halted", filters=[held])

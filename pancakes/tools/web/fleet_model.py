@@ -353,8 +353,10 @@ class FleetModel:
                 _, _, service_name, name = key.split("/", 3)
                 self._forget_task(agent, service_name, name)
         described = {(task["service"], task["task"]): task for task in answer["tasks"]}
+        unplaced = {task_id.partition("/")[2]: why for task_id, why in answer.get("unplaced", {}).items()}
         for task in row["tasks"]:
-            self._task(agent, task, described.get((task["service"], task["task"]), {}), t)
+            told = described.get((task["service"], task["task"]), {})
+            self._task(agent, task, {**told, "unplaced": unplaced.get(task["task"], "")}, t)
 
     def _task(self, agent: str, task: Mapping[str, Any], described: Mapping[str, Any], t: float) -> None:
         if task["rate_hz"] is not None:
@@ -381,6 +383,8 @@ class FleetModel:
             row["rest"] = described["rest"]
         if described.get("device") == MOTORS:
             row["driven_by"] = described.get("driven_by", "")
+        if unplaced := described.get("unplaced"):
+            row["unplaced"] = unplaced
         if filters := described.get("filters"):
             row["filters"] = [{key: it[key] for key in ("filter", "doing", "why")} for it in filters]
         if guarding := described.get("guarding"):

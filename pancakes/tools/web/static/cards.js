@@ -331,7 +331,8 @@ class Chip {
     this.rate.classList.toggle("warn", row.rest === "disputed" || Boolean(wanted) && reached !== null && reached < SLOW * wanted);
     const held = (row.filters || []).find(({ doing }) => doing === "holds");
     const stands = row.state === RUNNING && (row.rest || (row.driven_by && `driven by ${row.driven_by}`) || (held && `held by ${held.filter}`));
-    say(this.notes, stands ? stands : row.restarts ? `${row.restarts}× restarted` : "");
+    const trouble = stands || (row.unplaced && "not allocated");
+    say(this.notes, trouble || (row.restarts ? `${row.restarts}× restarted` : ""));
     show(this.guards, Boolean(row.guards));
     if (row.guards) {
       const troubled = stands || row.guards.by.length < row.guards.wanted || row.guards.by.some(([, , answers]) => !answers);
@@ -339,7 +340,7 @@ class Chip {
       this.guards.classList.toggle("warn", troubled);
     }
     const late = row.late_ms === null || row.late_ms === undefined ? "" : `, ${rounded(row.late_ms)} ms late in the mean`;
-    set(this.button, "title", `${row.type || this.task}: ${row.rest || row.state}${row.reason ? `, ${row.reason}` : ""}${late}${row.missed ? `, ${row.missed} ticks missed` : ""}${row.dropped ? `, ${row.dropped} packets dropped` : ""}`);
+    set(this.button, "title", `${row.type || this.task}: ${row.rest || row.state}${row.reason ? `, ${row.reason}` : ""}${row.unplaced ? `, not allocated: ${row.unplaced}` : ""}${late}${row.missed ? `, ${row.missed} ticks missed` : ""}${row.dropped ? `, ${row.dropped} packets dropped` : ""}`);
     set(this.button, "aria-label", `${this.task} on ${this.agent}, ${row.rest || row.state}${rate && row.state === RUNNING ? `, ${rate}` : ""}`);
   }
 }
