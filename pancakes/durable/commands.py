@@ -74,7 +74,8 @@ def task_meant(
     found: list[Record | Lost] = [one for one in lost if birthplace in ("", one.task_id.birthplace)]
     if verb == "adopt":
         found += [record for record in meant if record.in_doubt]
-        found += [record for record in meant if was_forgotten(record) or has_moved(record) or record.disputed]
+        found += [record for record in meant if was_forgotten(record) or record.disputed]
+        found = found or [record for record in meant if has_moved(record)]
     else:
         found += [record for record in meant if record.standing is Standing.HEIR]
     known = {one.task_id for one in found}

@@ -30,6 +30,12 @@ def test_task_in_doubt_is_meant() -> None:
         assert task_meant("a/client", "Scan", "", (record(standing),), ()) == record(standing)
 
 
+def test_task_in_doubt_is_meant_before_one_that_has_moved() -> None:
+    moved = replace(record(Standing.RELEASED), task_id=OTHER)
+    assert task_meant("a/client", "Scan", "", (GIVEN, moved), ()) == GIVEN
+    assert task_meant("a/client", "Scan", "z", (GIVEN, moved), ()) == moved
+
+
 def test_of_two_in_doubt_the_birthplace_says_which() -> None:
     assert refusal(GIVEN, COMING) == "a/client has a/Scan and z/Scan in doubt: say which by its birthplace"
 

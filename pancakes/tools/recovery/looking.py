@@ -263,7 +263,11 @@ class Survey:
         near = [ids.get(asked.agent)]
         near += [row["task_id"] for row in told if asked.agent in (row["agent"], row.get("owner"), row.get("peer"))]
         near += [ids[name] for name, row in rows.items() if row["rest"] == MOVED + asked.agent]
-        near += [offer["task_id"] for name, offer in offers.items() if asked.agent in (name, offer["peer"])]
+        near += [
+            offer["task_id"]
+            for name, offer in offers.items()
+            if asked.agent in (name, offer["peer"]) and not (asked.agent in ids and offer.get("moved"))
+        ]
         everything = {*ids.values(), *(offer["task_id"] for offer in offers.values())}
         everything.update(row["task_id"] for row in told)
         if own in everything and ids.get(asked.agent, own) == own:
