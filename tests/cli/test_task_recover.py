@@ -87,7 +87,7 @@ def test_recover_tells_tasks_of_one_name_apart(rig: Rig):
     assert (code, row["what"]) == (0, "b/Count runs on b.")
 
 
-def test_recover_takes_no_other_task_for_a_lost_one(rig: Rig):
+def test_recover_mixes_no_tasks_of_one_name(rig: Rig):
     """Robots of a kind have tasks of one name: that of the lost one is not that of another."""
     rig.install("count", *COUNT)
     heard(rig.ready("a", TASK), "task_started task=Count")
@@ -183,7 +183,7 @@ def test_recover_leaves_a_task_where_it_runs(rig: Rig):
     assert states(rig)["a", "Count"] == ("running", "")
 
 
-def test_recover_begins_a_task_whose_new_agent_lost_its_disk(rig: Rig):
+def test_recover_begins_what_its_new_agent_lost(rig: Rig):
     """No agent has it, and only the one that it was born on remembers it."""
     rig.install("count", *COUNT)
     b = rig.ready("b")

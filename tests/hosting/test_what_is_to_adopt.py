@@ -30,7 +30,7 @@ def test_task_in_doubt_is_meant() -> None:
         assert task_meant("a/client", "Scan", "", (record(standing),), ()) == record(standing)
 
 
-def test_task_in_doubt_is_meant_before_one_that_has_moved() -> None:
+def test_doubt_comes_before_what_has_moved() -> None:
     moved = replace(record(Standing.RELEASED), task_id=OTHER)
     assert task_meant("a/client", "Scan", "", (GIVEN, moved), ()) == GIVEN
     assert task_meant("a/client", "Scan", "z", (GIVEN, moved), ()) == moved

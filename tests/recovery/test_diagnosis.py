@@ -255,7 +255,7 @@ def test_proposal_says_what_is_lost(case: str):
     assert diagnose(CASES[case][0]).proposal.lost == LOST[case]
 
 
-def test_task_of_a_lost_agent_begins_where_it_came_from():
+def test_task_of_a_lost_agent_has_a_way_back():
     (here,) = diagnose(found(replace(MOVED, rest="moved → x", may_run=True))).choices
     assert (here.act, here.agent, here.command) == ("adopt", "a", "pancakes task recover a/Scan --here")
     assert "x is off, and never comes back" in here.only_if

@@ -240,7 +240,7 @@ def test_stop_during_a_migration_takes_the_offer_back() -> None:
     assert not it.course.paused
 
 
-def test_stop_of_a_task_that_has_left_is_answered_so() -> None:
+def test_stop_of_a_task_that_left_is_refused() -> None:
     """The heir asked for it before the registrar heard of the stop. Then its place is cleared."""
     it = bench().moving()
     it.feed(StopAsked(REQUEST, "asked for"), Finished("it ended"), CameToRest(b""))
