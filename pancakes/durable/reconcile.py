@@ -937,8 +937,10 @@ def _at_rest(step: Step, outcome: Outcome, why: str) -> None:
     asked = life is not None and life.asker is not None
     if outcome not in (Outcome.WRITTEN, Outcome.DELAYED):
         step.change(rests_left=max(0, step.course.rests_left - 1))
-    if Write.REST in step.course.pending or (outcome is not Outcome.WRITTEN and step.course.rests_left):
+    if Write.REST in step.course.pending:
         return  # a later one says how it rests
+    if outcome in (Outcome.COUNTS, Outcome.LAPSED) and step.course.rests_left:
+        return  # the same: that one is written, and does not count yet
     waits = step.record.guarded and asked and not step.at.removing
     if (outcome is Outcome.WRITTEN and not waits) or outcome is Outcome.COUNTS:
         _written(step)

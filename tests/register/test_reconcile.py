@@ -211,6 +211,19 @@ def test_stop_that_another_owner_may_not_know_is_answered_so() -> None:
     assert "taken over" in it.of(Answer).reason
 
 
+def test_stop_that_cannot_be_written_is_answered_so() -> None:
+    """Although a rest before it, that of a restart, does not count yet: its members may confirm that one."""
+    it = Bench(GUARDED, Desired.RUN).running()
+    it.feed(StopAsked(REQUEST, "restart", again=True), Finished("it ended"), CameToRest(LATER))
+    it.came(GUARDED._replace(no=4, state=LATER), Desired.RUN, (Write.REST, Outcome.WRITTEN, ""))
+    it.feed(Room(), Admitted(), Began())
+    it.feed(StopAsked(REQUEST, "asked for"), Finished("it ended"), CameToRest(STATE))
+    it.came(None, Desired.RUN, (Write.REST, Outcome.FAILED, "the disk is full"))
+    assert it.of(Answer) == Answer(REQUEST, "the disk is full")
+    it.came(None, Desired.RUN, (Write.REST, Outcome.COUNTS, ""))
+    assert "Answer" not in it.kinds()
+
+
 def test_migration_from_the_award_to_the_end() -> None:
     it = bench()
     it.feed(Award(B))

@@ -25,6 +25,7 @@ LARGE: dict[str, Bounds] = {
     "guarded, two requests": Bounds(guarded=True, requests=2, lapses=2),
     "guarded, it moves, writes fail": Bounds(guarded=True, moves=1, requests=1, faults=1),
     "guarded, it moves, the agent crashes": Bounds(guarded=True, moves=1, requests=1, crashes=1),
+    "guarded, two requests while it moves, writes fail": Bounds(guarded=True, moves=1, requests=2, faults=1),
     "guarded, it comes back": Bounds(guarded=True, moves=1, visits=1, requests=1),
     "its place goes with it, writes fail": Bounds(
         moves=1, requests=1, visits=1, faults=1, ends=1, errors=True, configured=False
