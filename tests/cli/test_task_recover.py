@@ -347,7 +347,9 @@ def cut_migration(rig: Rig, relayed: Callable[[str], Relay], name: str, pieces: 
 
 
 def in_doubt(rig: Rig, relayed: Callable[[str], Relay]) -> tuple[Running, int]:
-    """Cut migrations from a, each a bit later than the one before, until one is in doubt.
+    """Cut migrations from a, first where the new agent has just taken the task, until one is in doubt.
+
+    On a busy machine heartbeats come between the pieces of a migration.
 
     Returns:
         Agent a, and what the task had counted at least when the migration began.
@@ -355,9 +357,9 @@ def in_doubt(rig: Rig, relayed: Callable[[str], Relay]) -> tuple[Running, int]:
     a = rig.ready("a", TASK)
     heard(a, "task_started task=Count")
     n = soon(lambda: counted(rig, "a"))
-    for tried in range(60):  # on a busy machine heartbeats come between the pieces of a migration
+    for tried in range(60):
         end(a)
-        a = cut_migration(rig, relayed, f"b{tried}", 1 + (tried + 6) % 30)
+        a = cut_migration(rig, relayed, f"b{tried}", 1 + (tried + 3) % 20)
         if found := troubles(rig):
             assert found == {"a/Count": "in doubt"}
             return a, n
