@@ -810,7 +810,7 @@ def _lost(found: Findings) -> Diagnosis:
     if gone in found.answers:
         what = (
             f"{task} was given to {gone}, which answers and has nothing of it: its disk was lost, or the task was"
-            f" removed there. It runs nowhere."
+            " removed there. No agent that answers runs it."
         )
         if left is not None:
             return _told(found, "lost disk", what, _adopt(found, left))
