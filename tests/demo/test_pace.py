@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from pancakes.tools.demo.conductor import Ticks, hint_of, how_slow, late_ones, ticks_of, verdict_line
+import pytest
+
+from pancakes.tools.demo.conductor import Mission, Ticks, hint_of, how_slow, late_ones, ticks_of, verdict_line
 
 KEPT_UP = {"behind_max_s": 0.1, "late_tasks": []}
 
@@ -11,6 +13,19 @@ def test_a_machine_that_kept_up_is_not_mentioned():
     assert how_slow(KEPT_UP) == ""
     assert how_slow({"mode": "virtual", "times_real_time": 300.0}) == ""
     assert verdict_line("PASS", "") == "PASS"
+
+
+def test_world_that_tells_once_a_second_is_not_behind():
+    mission = Mission(("world",), 60.0)
+    for tenth in range(100):
+        mission.now_s = 0.1 * tenth
+        if tenth % 10 == 9:
+            mission.world_told(mission.now_s)
+        mission.look_at_world(1.0)
+    assert mission.behind_max_s == pytest.approx(0.0, abs=0.1)
+    mission.now_s += 3.0
+    mission.look_at_world(1.0)
+    assert mission.behind_s == pytest.approx(2.1, abs=0.2)
 
 
 def test_where_the_world_fell_behind_the_verdict_says_by_how_much():

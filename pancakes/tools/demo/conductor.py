@@ -195,6 +195,7 @@ class Mission:
         news_hz: how often, in host time, the launcher gets the state of the world.
         now_s: the mission time on the launcher's clock.
         world_s: the time of the world's newest state.
+        state_s: how long after a state of the world the next one comes, in mission time; infinity: unknown.
         behind_s: how far the world is behind the clock now.
         behind_max_s: how far the world was behind the clock at most.
         running: the running tasks of the user, by agent.
@@ -214,6 +215,7 @@ class Mission:
     news_hz: float = 10.0
     now_s: float = 0.0
     world_s: float = 0.0
+    state_s: float = math.inf
     behind_s: float = 0.0
     behind_max_s: float = 0.0
     running: dict[str, list[str]] = field(default_factory=dict)
@@ -231,6 +233,18 @@ class Mission:
     def ended(self) -> bool:
         """Whether the mission is over, so that further events do not count."""
         return self.phase in ("over", "interrupted")
+
+    def world_told(self, time_s: float) -> None:
+        """The world has told its state at a mission time."""
+        if time_s > self.world_s:
+            self.state_s = min(self.state_s, time_s - self.world_s)
+        self.world_s = time_s
+
+    def look_at_world(self, speed: float) -> None:
+        """Measure how far the world is behind the clock, whose `speed` is that of the mission."""
+        normal_s = max(speed / self.news_hz, self.state_s)  # the age of the newest state: some come once a second
+        self.behind_s = max(0.0, self.now_s - self.world_s - normal_s)
+        self.behind_max_s = max(self.behind_max_s, self.behind_s)
 
 
 class Conductor(TaskCore, Task):
@@ -353,9 +367,7 @@ class Conductor(TaskCore, Task):
         if mission.phase != "running":
             return
         mission.now_s = self.now()
-        news_s = self.kernel.mission.speed / mission.news_hz  # the normal age of the newest state
-        mission.behind_s = max(0.0, mission.now_s - mission.world_s - news_s)
-        mission.behind_max_s = max(mission.behind_max_s, mission.behind_s)
+        mission.look_at_world(self.kernel.mission.speed)
         mission.changed()
         if self._file is not None:
             self._file.flush()
@@ -377,7 +389,7 @@ class Conductor(TaskCore, Task):
     def on_world(self, packet: Packet) -> None:
         """Remember the state of the world."""
         state = packet.body
-        self._mission.world_s = state.time_s
+        self._mission.world_told(state.time_s)
         for body in state.bodies:
             self._mission.bodies[body.name] = body
 
