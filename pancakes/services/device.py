@@ -218,6 +218,7 @@ class DeviceTask(TaskCore, Task):
         self._filtered: Any = None  # what the filters have made of the newest command: a command, or `Held`
         self._opened_with: Mapping[str, Any] | None = None
         self._check_shot: OneShot | None = None
+        self._checked: Packet | None = None  # the command that is looked at again
         self._crowded = False
         self._checks: dict[type, Callable[[Any], str]] = {}  # of readings, by the classes that have come
         self._refused: dict[str, str] = {}
@@ -475,9 +476,12 @@ class DeviceTask(TaskCore, Task):
         """Let the newest command pass the filters again in some time, if no other has come by then."""
         if self._check_shot is not None:
             self._check_shot.cancel()
+        self._checked = packet
         self._check_shot = self.after(check_s, lambda: self._check_again(packet, fence))
 
     def _check_again(self, packet: Packet, fence: Fence | None) -> None:
+        if packet is not self._checked:
+            return  # a newer command came while this look waited for its turn
         self._check_shot = None
         ttl_s = self._good_until_s - self.now()
         if self._holding or self._chain is None or self.driver is None or ttl_s <= ROUNDING_S:

@@ -11,6 +11,7 @@ from pancakes.devices import Twist
 from pancakes.devices.driver import Actuator
 from pancakes.errors import ConfigError
 from pancakes.filters.filter import Changed, Filter, Held
+from pancakes.kernel.timer import OneShot
 from pancakes.simulation.fleet import registered
 from pancakes.task import Task, every
 from pancakes.testing import Fleet
@@ -225,6 +226,28 @@ def test_command_is_checked_again_while_good(fleet):
     fleet.run_for(0.2)
     ((at_s, v_mps, ttl_s),) = Wheels.told
     assert v_mps == pytest.approx(0.3) and at_s + ttl_s == pytest.approx(1.5, abs=0.01), "once, and good for no longer"
+
+
+def test_late_look_brings_no_old_command_back(fleet):
+    """On threads, the look at a command may have left the timer when the next command comes."""
+    agent = robot(fleet, {"check_hz": 20.0}, hz=1.0)
+    motors = agent.kernel.registry.get("a/device/motors")
+    after, looks = motors.after, []
+
+    def take(delay_s, function):
+        if delay_s != 0.05:  # 20 Hz
+            return after(delay_s, function)
+        looks.append(function)
+        return OneShot(function)
+
+    motors.after = take
+    fleet.run_for(1.5)
+    assert agent.ask(Configure("Driving", {"v_mps": 0.3})).ok
+    fleet.run_for(0.7)
+    assert Wheels.told[-1][1] == pytest.approx(0.3)
+    told = list(Wheels.told)
+    looks[0]()
+    assert Wheels.told == told
 
 
 def test_guard_holds_although_filters_check_again(fleet):
